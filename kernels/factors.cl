@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+// Damping, and inverses of damped diagonal blocks as inverse Cholesky factors: A = L L^T, G = L^-1,
+// A^-1 = G^T G. Stored in REAL, G^T G stays positive definite, which a rounded A^-1 may not.
+// Scalars of scale 0 are constant: they are left out of A, and their rows and columns of G are 0.
+#define LANE_WIDTH 8
+#include "lanes.clh"
+
+#ifndef MAX_BLOCK
+#define MAX_BLOCK 14
+#endif
+#define MAX_TRIANGLE (MAX_BLOCK * (MAX_BLOCK + 1) / 2)
+
+// D_i^2 of scalar i (clba.h, CLBA_DAMPING_*), with c_i its scale and d_i = diag(J^T J)_i:
+//   policy 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
+//   policy 2, levenberg    (s / c)^2 with s = 1 + sqrt(d_0), d_0 = diag(J^T J)_i at the start
+//   policy 3, uncertainty  1 / c^2
+inline double damping(int policy, double c, double d, double d_0, double smallest,
+                      double largest) {
+    const double c2 = c * c;
+    const double s = 1 + sqrt(d_0);
+    const double marquardt = fmin(fmax(c2 * d, smallest), largest) / c2;
+    const double value = policy == 1 ? marquardt : (policy == 2 ? s * s : 1.0) / c2;
+    return c > 0 ? value : 0.0;
+}
+
+// D^2 of the F side. initial_diagonal: of the first linearisation; NULL unless policy is 2.
+// Writers: one element each.
+kernel void image_damping(int policy, double smallest, double largest, int num_blocks,
+                          global const int* restrict block_offset,
+                          global const int* restrict block_size,
+                          global const int* restrict matrix_offset,
+                          global const double* restrict matrices,
+                          global const double* restrict scale,
+                          global double* restrict initial_diagonal, int is_first,
+                          global double* restrict d2) {
+    const int end = share_end(num_blocks);
+    for (int block = share_begin(num_blocks); block < end; ++block) {
+        global const double* a = matrices + matrix_offset[block];
+        const int offset = block_offset[block];
+        for (int k = 0; k < block_size[block]; ++k) {
+            if (!IS_FIRST_LANE) continue;
+            const double d = a[k * (k + 1) / 2 + k];
+            if (initial_diagonal && is_first) initial_diagonal[offset + k] = d;
+            d2[offset + k] =
+                damping(policy, scale[offset + k], d,
+                        initial_diagonal ? initial_diagonal[offset + k] : 0.0, smallest, largest);
+        }
+    }
+}
+
+// D^2 of the points: 3 rows. scale may be NULL: 1 everywhere. Spare slots get some value too.
+// Writers: one element each.
+kernel void point_damping(int policy, double smallest, double largest, int num_point_slots,
+                          global const double* restrict v, global const double* restrict scale,
+                          global double* restrict initial_diagonal, int is_first,
+                          global double* restrict d2) {
+    const int begin = share_begin(num_point_slots), end = share_end(num_point_slots);
+    const int rows[3] = {0, 2, 5};  // of the diagonal in V's 6
+    for (int k = 0; k < 3; ++k) {
+        global const double* diagonal = v + rows[k] * (long)num_point_slots;
+        global const double* c = scale ? scale + k * (long)num_point_slots : 0;
+        global double* initial = initial_diagonal ? initial_diagonal + k * (long)num_point_slots : 0;
+        global double* out = d2 + k * (long)num_point_slots;
+        LANES(i, begin, end) {
+            if (initial && is_first) initial[i] = diagonal[i];
+            out[i] = damping(policy, c ? c[i] : 1.0, diagonal[i], initial ? initial[i] : 0.0,
+                             smallest, largest);
+        }
+    }
+}
+
+// G of A = (packed lower triangle at matrix_offset) + lambda D^2, packed likewise; all 0 and counted
+// if A is not positive definite.
+// Writers: one block each; failures: one count a group.
+kernel void factor_image_blocks(double lambda, int num_blocks,
+                                global const int* restrict block_offset,
+                                global const int* restrict block_size,
+                                global const int* restrict matrix_offset,
+                                global const double* restrict matrices,
+                                global const double* restrict scale,
+                                global const double* restrict d2,
+                                global double* restrict factors,
+                                global int* restrict failures) {
+    int failed = 0;
+    const int share_of_group = share_end(num_blocks);
+#if LANE_LOOP
+    for (int block = share_begin(num_blocks); block < share_of_group; ++block) {
+#else
+    LANES(block, share_begin(num_blocks), share_of_group) {
+#endif
+        const int size = block_size[block], offset = block_offset[block];
+        global const double* in = matrices + matrix_offset[block];
+        global double* out = factors + matrix_offset[block];
+        double a[MAX_TRIANGLE];
+        bool is_definite = true;
+        // Row by row: L, then L^-1 in its place from the last row up would lose L; so first L.
+        for (int row = 0; row < size; ++row) {
+            const int at = row * (row + 1) / 2;
+            const bool is_free = scale[offset + row] > 0;
+            for (int k = 0; k <= row; ++k) {
+                const bool both_free = is_free && scale[offset + k] > 0;
+                double value = both_free ? in[at + k] : 0.0;
+                if (k == row) value = is_free ? value + lambda * d2[offset + row] : 1.0;
+                const int above = k * (k + 1) / 2;
+                for (int m = 0; m < k; ++m) value -= a[at + m] * a[above + m];
+                if (k < row) {
+                    a[at + k] = value / a[above + k];
+                } else {
+                    is_definite = is_definite && value > 0 && isfinite(value);
+                    a[at + k] = sqrt(is_definite ? value : 1.0);
+                }
+            }
+        }
+        // G = L^-1, column by column: G_cc = 1 / L_cc, G_rc = -(sum L_rm G_mc) / L_rr.
+        for (int column = 0; column < size; ++column) {
+            for (int row = column; row < size; ++row) {
+                const int at = row * (row + 1) / 2;
+                double value = row == column ? 1.0 : 0.0;
+                for (int m = column; m < row; ++m)
+                    value -= a[at + m] * out[m * (m + 1) / 2 + column];
+                out[at + column] = value / a[at + row];
+            }
+        }
+        for (int row = 0; row < size; ++row)
+            for (int k = 0; k <= row; ++k)
+                if (!is_definite || !(scale[offset + row] > 0) || !(scale[offset + k] > 0))
+                    out[row * (row + 1) / 2 + k] = 0;
+        failed += is_definite ? 0 : 1;
+    }
+#if LANE_LOOP
+    failures[get_group_id(0)] = failed;
+#else
+    failures[get_global_id(0)] = failed;
+#endif
+}
+
+// G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. V's 6 rows are
+// xx, yx, yy, zx, zy, zz. scale may be NULL. Spare slots have V = 0: their G is finite and unused.
+// Writers: one point each; failures: one count a work-item.
+kernel void factor_point_blocks(double lambda, int num_point_slots,
+                                global const double* restrict v,
+                                global const double* restrict scale,
+                                global const double* restrict d2,
+                                global REAL* restrict factors, global int* restrict failures) {
+    const int n = num_point_slots;
+    const int begin = share_begin(n), end = share_end(n);
+    double failed = 0;
+    LANES(i, begin, end) {
+        const bool free0 = scale ? scale[i] > 0 : true;
+        const bool free1 = scale ? scale[n + i] > 0 : true;
+        const bool free2 = scale ? scale[2 * n + i] > 0 : true;
+        const double a00 = free0 ? v[i] + lambda * d2[i] : 1.0;
+        const double a10 = free0 && free1 ? v[n + i] : 0.0;
+        const double a11 = free1 ? v[2 * n + i] + lambda * d2[n + i] : 1.0;
+        const double a20 = free0 && free2 ? v[3 * n + i] : 0.0;
+        const double a21 = free1 && free2 ? v[4 * n + i] : 0.0;
+        const double a22 = free2 ? v[5 * n + i] + lambda * d2[2 * n + i] : 1.0;
+        const double g00 = 1 / sqrt(a00);
+        const double l10 = a10 * g00, l20 = a20 * g00;
+        const double p1 = a11 - l10 * l10;
+        const double g11 = 1 / sqrt(p1);
+        const double l21 = (a21 - l20 * l10) * g11;
+        const double p2 = a22 - l20 * l20 - l21 * l21;
+        const double g22 = 1 / sqrt(p2);
+        const double g10 = -g11 * l10 * g00;
+        const double g21 = -g22 * l21 * g11;
+        const double g20 = -g22 * (l20 * g00 + l21 * g10);
+        // False for NaN and for infinities too.
+        const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
+        failed += is_definite ? 0.0 : 1.0;
+        factors[i] = is_definite && free0 ? (REAL)g00 : 0;
+        factors[n + i] = is_definite && free0 && free1 ? (REAL)g10 : 0;
+        factors[2 * n + i] = is_definite && free1 ? (REAL)g11 : 0;
+        factors[3 * n + i] = is_definite && free0 && free2 ? (REAL)g20 : 0;
+        factors[4 * n + i] = is_definite && free1 && free2 ? (REAL)g21 : 0;
+        factors[5 * n + i] = is_definite && free2 ? (REAL)g22 : 0;
+    }
+#if LANE_LOOP
+    failures[get_group_id(0)] = (int)failed;
+#else
+    failures[get_global_id(0)] = (int)failed;
+#endif
+}
+
+// z = G^T G r, block by block.
+// Writers: group shares of blocks.
+kernel void apply_image_factors(int num_blocks, global const int* restrict block_offset,
+                                global const int* restrict block_size,
+                                global const int* restrict matrix_offset,
+                                global const double* restrict factors,
+                                global const double* restrict r, global double* restrict z) {
+    const int end = share_end(num_blocks);
+#if LANE_LOOP
+    for (int block = share_begin(num_blocks); block < end; ++block) {
+#else
+    LANES(block, share_begin(num_blocks), end) {
+#endif
+        const int size = block_size[block], offset = block_offset[block];
+        global const double* g = factors + matrix_offset[block];
+        double b[MAX_BLOCK];
+        for (int row = 0; row < size; ++row) {
+            double sum = 0;
+            for (int k = 0; k <= row; ++k) sum += g[row * (row + 1) / 2 + k] * r[offset + k];
+            b[row] = sum;
+        }
+        for (int k = 0; k < size; ++k) {
+            double sum = 0;
+            for (int row = k; row < size; ++row) sum += g[row * (row + 1) / 2 + k] * b[row];
+            z[offset + k] = sum;
+        }
+    }
+}
+
+// z = G^T G r, point by point; r and z are 3 rows of doubles.
+// Writers: one point each.
+kernel void apply_point_factors(int num_point_slots, global const REAL* restrict factors,
+                                global const double* restrict r, global double* restrict z) {
+    const int n = num_point_slots;
+    const int begin = share_begin(n), end = share_end(n);
+    LANES(i, begin, end) {
+        const double g00 = factors[i], g10 = factors[n + i], g11 = factors[2 * n + i];
+        const double g20 = factors[3 * n + i], g21 = factors[4 * n + i], g22 = factors[5 * n + i];
+        const double r0 = r[i], r1 = r[n + i], r2 = r[2 * n + i];
+        const double b0 = g00 * r0, b1 = g10 * r0 + g11 * r1;
+        const double b2 = g20 * r0 + g21 * r1 + g22 * r2;
+        z[i] = g00 * b0 + g10 * b1 + g20 * b2;
+        z[n + i] = g11 * b1 + g21 * b2;
+        z[2 * n + i] = g22 * b2;
+    }
+}

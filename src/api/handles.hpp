@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+// What the opaque handles of clba.h hold, and how every exported function is wrapped.
+#include <atomic>
+#include <cstddef>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <string>
+#include <vector>
+
+#include "base/error.hpp"
+#include "clba/clba.h"
+#include "device/context.hpp"
+#include "linear/device_problem.hpp"
+#include "problem/problem.hpp"
+
+struct clba_context {
+    std::atomic<int> references{1};
+    std::shared_ptr<clba::Context> context;
+};
+
+struct clba_problem {
+    std::atomic<int> references{1};
+    clba::Problem problem;
+    // The problem on the device it was last used on; emptied when the structure changes. Keeps its
+    // context alive.
+    std::unique_ptr<clba::DeviceProblem> mirror;
+};
+
+struct clba_result {
+    clba_summary summary;
+    std::vector<clba_iteration> rows;
+    std::string report, json;
+};
+
+namespace clba {
+
+void set_last_error(const std::string& message) noexcept;
+
+// Runs the body of an exported function and turns what it throws into a status and a message.
+template <class Body>
+clba_status guarded(Body&& body) noexcept {
+    try {
+        set_last_error("");
+        body();
+        return CLBA_OK;
+    } catch (const Error& error) {
+        set_last_error(error.what());
+        return static_cast<clba_status>(error.status());
+    } catch (const std::bad_alloc&) {
+        set_last_error("out of memory on the host");
+        return CLBA_ERROR_OUT_OF_MEMORY;
+    } catch (const std::length_error&) {
+        set_last_error("out of memory on the host: a size is beyond what can be allocated");
+        return CLBA_ERROR_OUT_OF_MEMORY;
+    } catch (const std::exception& error) {
+        set_last_error(std::string("internal error: ") + error.what());
+        return CLBA_ERROR_INTERNAL;
+    } catch (...) {
+        set_last_error("internal error");
+        return CLBA_ERROR_INTERNAL;
+    }
+}
+
+template <class Pointer>
+void require_pointer(Pointer* pointer, const char* name) {
+    require(pointer != nullptr, name, " is NULL, but it must not be");
+}
+
+// The caller's struct as this version knows it: what the caller's version lacks has its default, and
+// what this version does not know must be 0.
+template <class Struct>
+Struct copied_in(const Struct* caller, const Struct& defaults, const char* name) {
+    if (!caller) return defaults;
+    const uint32_t size = caller->struct_size;
+    require(size >= sizeof(uint32_t), name, ".struct_size = ", size,
+            ", but it must be sizeof(", name, "); fill the struct with its _init function");
+    const auto* bytes = reinterpret_cast<const unsigned char*>(caller);
+    for (size_t i = sizeof(Struct); i < size; ++i)
+        require(bytes[i] == 0, name, " has a field at byte ", i,
+                " that this version of the library does not know; leave it 0");
+    Struct copy = defaults;
+    std::memcpy(&copy, caller, std::min<size_t>(size, sizeof(Struct)));
+    return copy;
+}
+
+// Fills the caller's struct as far as the caller's version goes.
+template <class Struct>
+void copy_out(const Struct& value, Struct* caller, const char* name) {
+    require_pointer(caller, name);
+    const uint32_t size = caller->struct_size;
+    require(size >= sizeof(uint32_t), name, ".struct_size = ", size, ", but it must be sizeof(",
+            name, ")");
+    std::memcpy(caller, &value, std::min<size_t>(size, sizeof(Struct)));
+    caller->struct_size = size;
+}
+
+// Body of the _init functions.
+template <class Struct>
+void init_struct(Struct* caller, size_t struct_size, const Struct& defaults, const char* name) {
+    require_pointer(caller, name);
+    require(struct_size >= sizeof(uint32_t), "struct_size = ", struct_size,
+            ", but it must be sizeof(", name, ")");
+    std::memset(static_cast<void*>(caller), 0, struct_size);
+    std::memcpy(static_cast<void*>(caller), &defaults, std::min(struct_size, sizeof(Struct)));
+    caller->struct_size = static_cast<uint32_t>(struct_size);
+}
+
+// Rows of a caller's array: a pointer and a stride in bytes, 0 for rows without gaps.
+template <class Value>
+class Rows {
+public:
+    Rows(Value* data, size_t stride, size_t values_per_row, const char* name, int64_t count)
+        : data_(data), stride_(stride ? stride : values_per_row * sizeof(Value)) {
+        if (count > 0) require_pointer(data, name);
+        require(stride_ >= values_per_row * sizeof(Value), name, " has a stride of ", stride_,
+                " bytes, but a row has ", values_per_row * sizeof(Value));
+    }
+    // Value k of row i; rows of any alignment.
+    std::remove_const_t<Value> get(int64_t i, size_t k = 0) const {
+        std::remove_const_t<Value> value;
+        std::memcpy(&value, address(i, k), sizeof value);
+        return value;
+    }
+    void set(int64_t i, size_t k, Value value) const { std::memcpy(address(i, k), &value, sizeof value); }
+
+private:
+    auto* address(int64_t i, size_t k) const {
+        using Byte = std::conditional_t<std::is_const_v<Value>, const unsigned char, unsigned char>;
+        return reinterpret_cast<Byte*>(data_) + static_cast<size_t>(i) * stride_ +
+               k * sizeof(Value);
+    }
+    Value* data_;
+    size_t stride_;
+};
+
+}  // namespace clba

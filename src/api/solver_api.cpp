@@ -1,0 +1,463 @@
+// SPDX-License-Identifier: Apache-2.0
+// Solving, results, and evaluation for the caller's own loop.
+#include <cmath>
+#include <limits>
+
+#include "api/handles.hpp"
+#include "api/report.hpp"
+#include "linear/direct_solver.hpp"
+#include "linear/normal_equations.hpp"
+#include "optimizer/evaluator.hpp"
+#include "optimizer/solve.hpp"
+
+namespace clba {
+namespace {
+
+clba_solver_options default_solver_options() {
+    const MinimizerOptions defaults;
+    clba_solver_options options{};
+    options.struct_size = sizeof options;
+    options.linear_solver = CLBA_LINEAR_SOLVER_PCG_SCHUR;
+    options.preconditioner = CLBA_PRECONDITIONER_DEFAULT;
+    options.damping = CLBA_DAMPING_MARQUARDT;
+    options.precision = CLBA_PRECISION_MIXED;
+    options.max_num_iterations = defaults.max_iterations;
+    options.max_linear_solver_iterations = defaults.linear_solver.max_iterations;
+    options.min_linear_solver_iterations = defaults.linear_solver.min_iterations;
+    options.max_num_consecutive_invalid_steps = defaults.max_consecutive_invalid_steps;
+    options.initial_trust_region_radius = defaults.initial_radius;
+    options.max_trust_region_radius = defaults.max_radius;
+    options.min_trust_region_radius = defaults.min_radius;
+    options.min_relative_decrease = defaults.min_relative_decrease;
+    options.min_damping_diagonal = defaults.damping.min_diagonal;
+    options.max_damping_diagonal = defaults.damping.max_diagonal;
+    options.function_tolerance = defaults.function_tolerance;
+    options.gradient_tolerance = defaults.gradient_tolerance;
+    options.parameter_tolerance = defaults.parameter_tolerance;
+    options.target_cost = defaults.target_cost;
+    options.max_seconds = defaults.max_seconds;
+    options.eta = defaults.linear_solver.eta;
+    return options;
+}
+
+void require_named(const char* name, const char* field, int32_t value) {
+    require(name != nullptr, field, " = ", value, ", but clba.h lists no such value");
+}
+
+template <class Number>
+void require_at_least(const char* field, Number value, Number least) {
+    require(value >= least, field, " = ", value, ", but it must be >= ", least);
+}
+
+void require_above_zero(const char* field, double value) {
+    require(value > 0, field, " = ", value, ", but it must be > 0");
+}
+
+Preconditioner used_preconditioner(const clba_solver_options& given) {
+    switch (given.linear_solver) {
+        case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
+            require(given.preconditioner == CLBA_PRECONDITIONER_DEFAULT,
+                    "preconditioner = ", clba_preconditioner_name(given.preconditioner),
+                    ", but direct_schur takes none; leave it at its default");
+            return Preconditioner::none;
+        case CLBA_LINEAR_SOLVER_PCG_HESSIAN:
+            require(given.preconditioner != CLBA_PRECONDITIONER_SCHUR_JACOBI,
+                    "preconditioner = schur_jacobi, but pcg_hessian works on the full Hessian, "
+                    "which has no Schur complement; use block_jacobi or pcg_schur");
+            return Preconditioner::block_jacobi;
+        default:
+            return given.preconditioner == CLBA_PRECONDITIONER_BLOCK_JACOBI
+                       ? Preconditioner::block_jacobi
+                       : Preconditioner::schur_jacobi;
+    }
+}
+
+Precision checked_precision(int32_t precision) {
+    require_named(clba_precision_name(precision), "precision", precision);
+    return static_cast<Precision>(precision);
+}
+
+MinimizerOptions minimizer_options(const clba_solver_options& given) {
+    require_named(clba_linear_solver_name(given.linear_solver), "linear_solver",
+                  given.linear_solver);
+    require_named(clba_preconditioner_name(given.preconditioner), "preconditioner",
+                  given.preconditioner);
+    require_named(clba_damping_name(given.damping), "damping", given.damping);
+    require_at_least("max_num_iterations", given.max_num_iterations, 0);
+    require_at_least("max_linear_solver_iterations", given.max_linear_solver_iterations, 1);
+    require_at_least("min_linear_solver_iterations", given.min_linear_solver_iterations, 0);
+    require_at_least("max_num_consecutive_invalid_steps", given.max_num_consecutive_invalid_steps,
+                     0);
+    require_above_zero("initial_trust_region_radius", given.initial_trust_region_radius);
+    require_above_zero("max_trust_region_radius", given.max_trust_region_radius);
+    require_above_zero("min_trust_region_radius", given.min_trust_region_radius);
+    require_above_zero("min_damping_diagonal", given.min_damping_diagonal);
+    require_above_zero("max_damping_diagonal", given.max_damping_diagonal);
+    require_above_zero("max_seconds", given.max_seconds);
+    require_at_least("min_relative_decrease", given.min_relative_decrease, 0.0);
+    require_at_least("function_tolerance", given.function_tolerance, 0.0);
+    require_at_least("gradient_tolerance", given.gradient_tolerance, 0.0);
+    require_at_least("parameter_tolerance", given.parameter_tolerance, 0.0);
+    require_at_least("target_cost", given.target_cost, 0.0);
+    require(given.min_damping_diagonal <= given.max_damping_diagonal,
+            "min_damping_diagonal = ", given.min_damping_diagonal,
+            ", but it must be <= max_damping_diagonal = ", given.max_damping_diagonal);
+    require(given.eta > 0 && given.eta < 1, "eta = ", given.eta, ", but it must be in (0, 1)");
+
+    MinimizerOptions options;
+    options.linear_solver.kind = static_cast<LinearSolverKind>(given.linear_solver);
+    options.linear_solver.preconditioner = used_preconditioner(given);
+    options.linear_solver.min_iterations = given.min_linear_solver_iterations;
+    options.linear_solver.max_iterations = given.max_linear_solver_iterations;
+    options.linear_solver.eta = given.eta;
+    options.damping.policy = static_cast<Damping>(given.damping);
+    options.damping.min_diagonal = given.min_damping_diagonal;
+    options.damping.max_diagonal = given.max_damping_diagonal;
+    options.max_iterations = given.max_num_iterations;
+    options.max_consecutive_invalid_steps = given.max_num_consecutive_invalid_steps;
+    options.initial_radius = given.initial_trust_region_radius;
+    options.max_radius = given.max_trust_region_radius;
+    options.min_radius = given.min_trust_region_radius;
+    options.min_relative_decrease = given.min_relative_decrease;
+    options.function_tolerance = given.function_tolerance;
+    options.gradient_tolerance = given.gradient_tolerance;
+    options.parameter_tolerance = given.parameter_tolerance;
+    options.target_cost = given.target_cost;
+    options.max_seconds = given.max_seconds;
+    return options;
+}
+
+clba_iteration public_row(const IterationRow& row) {
+    clba_iteration out{};
+    out.struct_size = sizeof out;
+    out.iteration = row.iteration;
+    out.step_is_accepted = row.step_is_accepted;
+    out.step_is_valid = row.step_is_valid;
+    out.linear_solver_iterations = row.linear_solver_iterations;
+    out.num_behind = row.num_behind;
+    out.cost = row.cost;
+    out.cost_change = row.cost_change;
+    out.gradient_max_norm = row.gradient_max_norm;
+    out.step_norm = row.step_norm;
+    out.gain_ratio = row.gain_ratio;
+    out.trust_region_radius = row.trust_region_radius;
+    out.seconds = row.seconds;
+    return out;
+}
+
+template <size_t size>
+void copy_text(const std::string& from, char (&to)[size]) {
+    const size_t length = std::min(from.size(), size - 1);
+    std::memcpy(to, from.data(), length);
+    to[length] = '\0';
+}
+
+clba_summary public_summary(const Summary& summary) {
+    clba_summary out{};
+    out.struct_size = sizeof out;
+    out.termination = static_cast<int32_t>(summary.termination);
+    out.reason = static_cast<int32_t>(summary.reason);
+    out.linear_solver = static_cast<int32_t>(summary.linear_solver);
+    out.preconditioner = static_cast<int32_t>(summary.preconditioner);
+    out.damping = static_cast<int32_t>(summary.damping);
+    out.precision = static_cast<int32_t>(summary.precision);
+    out.num_iterations = static_cast<int32_t>(summary.rows.size()) - 1;
+    out.num_accepted_steps = summary.num_accepted_steps;
+    out.num_rejected_steps = summary.num_rejected_steps;
+    out.num_invalid_steps = summary.num_invalid_steps;
+    out.num_linear_solver_iterations = summary.num_linear_solver_iterations;
+    out.num_behind_initial = summary.num_behind_initial;
+    out.num_behind_final = summary.num_behind_final;
+    out.num_singular = summary.num_singular;
+    out.num_indefinite_blocks = summary.num_indefinite_blocks;
+    out.initial_cost = summary.initial_cost;
+    out.final_cost = summary.final_cost;
+    out.reference_final_cost = summary.reference_final_cost;
+    out.total_seconds = summary.total_seconds;
+    out.build_seconds = summary.build_seconds;
+    out.setup_seconds = summary.setup_seconds;
+    out.linearize_seconds = summary.linearize_seconds;
+    out.linear_solver_seconds = summary.linear_solver_seconds;
+    out.evaluate_seconds = summary.evaluate_seconds;
+    out.reference_seconds = summary.reference_seconds;
+    out.other_seconds = summary.total_seconds - summary.build_seconds - summary.setup_seconds -
+                        summary.linearize_seconds - summary.linear_solver_seconds -
+                        summary.evaluate_seconds - summary.reference_seconds;
+    const auto of = [&](Step step) { return summary.step_seconds[static_cast<size_t>(step)]; };
+    out.residual_device_seconds = of(Step::residual);
+    out.jacobian_device_seconds = of(Step::jacobian);
+    out.preconditioner_device_seconds = of(Step::preconditioner);
+    out.jx_device_seconds = of(Step::jx);
+    out.jty_device_seconds = of(Step::jty);
+    out.schur_device_seconds = of(Step::schur);
+    out.vector_device_seconds = of(Step::vector);
+    out.peak_device_bytes = summary.peak_device_bytes;
+    copy_text(summary.device, out.device);
+    copy_text(summary.message, out.message);
+    return out;
+}
+
+std::unique_ptr<clba_result> make_result(const Summary& summary) {
+    auto result = std::make_unique<clba_result>();
+    result->summary = public_summary(summary);
+    for (const IterationRow& row : summary.rows) result->rows.push_back(public_row(row));
+    result->report = report_text(result->summary, result->rows);
+    result->json = report_json(result->summary, result->rows);
+    return result;
+}
+
+clba_evaluation default_evaluation() {
+    clba_evaluation evaluation{};
+    evaluation.struct_size = sizeof evaluation;
+    evaluation.precision = CLBA_PRECISION_DOUBLE;
+    return evaluation;
+}
+
+// A problem that has been used leaves its mirror behind for the next call, unless that call failed.
+template <class Body>
+void with_mirror(clba_problem* handle, clba_context* context, Precision precision, Body&& body) {
+    try {
+        body(mirror(handle->problem, context->context, precision, handle->mirror));
+    } catch (...) {
+        handle->mirror.reset();
+        throw;
+    }
+}
+
+// One array of 2 rows of REAL in slots, from or to observations x 2 of the caller's.
+template <class Real>
+void upload_rows(const double* values, DeviceProblem& device, std::vector<Buffer>& slots) {
+    device.fill_slots<Real>(slots, StoredJacobian::num_product_rows,
+                            [&](int64_t observation, int, auto&& slot) {
+                                slot(0) = static_cast<Real>(values[2 * observation]);
+                                slot(1) = static_cast<Real>(values[2 * observation + 1]);
+                            });
+}
+
+template <class Real>
+void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots, double* values) {
+    device.visit_slots<Real>(slots, StoredJacobian::num_product_rows,
+                             [&](int64_t observation, int, auto&& slot) {
+                                 values[2 * observation] = slot(0);
+                                 values[2 * observation + 1] = slot(1);
+                             });
+}
+
+void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& request) {
+    Evaluator evaluator(device, problem);
+    std::vector<Buffer> residuals;
+    if (request.residuals)
+        residuals = device.make_slot_rows(StoredJacobian::num_product_rows, sizeof(double),
+                                          "residuals");
+    const CostEvaluation evaluation =
+        evaluator.cost(device.state, request.residuals ? &residuals : nullptr);
+    request.cost = evaluation.cost;
+    request.num_behind = evaluation.num_behind;
+    request.num_singular = evaluation.num_singular;
+    if (request.residuals) download_rows<double>(device, residuals, request.residuals);
+    if (!request.gradient && !request.jacobian_images && !request.jacobian_points) return;
+    NormalEquations equations(device, DampingOptions());
+    evaluator.linearize(equations);
+    if (request.gradient) device.download(equations.gradient, request.gradient);
+    if (!request.jacobian_images && !request.jacobian_points) return;
+    reference::Jacobian jacobian = empty_jacobian(problem, device.layout());
+    download_jacobian(device, equations.jacobian, jacobian);
+    zero_constant_columns(problem, device.layout(), jacobian);
+    if (request.jacobian_images)
+        std::copy(jacobian.image_blocks.begin(), jacobian.image_blocks.end(),
+                  request.jacobian_images);
+    if (request.jacobian_points)
+        std::copy(jacobian.point_blocks.begin(), jacobian.point_blocks.end(),
+                  request.jacobian_points);
+}
+
+// Sets the entries of constant parameters to 0.
+void mask_constants(DeviceProblem& device, Vector& vector) {
+    device.vectors().mask_constants(device.scale_f, vector.f);
+    for (size_t c = 0; c < vector.e.size(); ++c)
+        if (device.chunks()[c].point_scale)
+            device.vectors().mask_constants(device.chunks()[c].point_scale, vector.e[c]);
+}
+
+void multiply(const Problem& problem, DeviceProblem& device, int32_t product, double lambda,
+              const double* x, double* y) {
+    Evaluator evaluator(device, problem);
+    NormalEquations equations(device, DampingOptions());
+    evaluator.linearize(equations);
+    const bool is_double = device.precision() == Precision::double_precision;
+    std::vector<Buffer>& slots = equations.jacobian.product();
+    Vector vector = device.make_vector("a product's argument");
+    if (product == CLBA_PRODUCT_JX) {
+        device.upload(x, vector);
+        mask_constants(device, vector);
+        equations.jacobian.multiply(vector);
+        is_double ? download_rows<double>(device, slots, y)
+                  : download_rows<float>(device, slots, y);
+    } else if (product == CLBA_PRODUCT_JTY) {
+        is_double ? upload_rows<double>(x, device, slots) : upload_rows<float>(x, device, slots);
+        equations.jacobian.multiply_transposed(vector);
+        mask_constants(device, vector);
+        device.download(vector, y);
+    } else {
+        equations.update_blocks();
+        const int64_t failures =
+            equations.factor_points(lambda) + equations.factor_images(lambda, equations.u());
+        require(failures == 0, failures, " diagonal blocks of J^T J + lambda D^2 are not positive "
+                "definite at lambda = ", lambda, "; a larger lambda makes them so");
+        device.upload(x, vector);
+        Vector result = device.make_vector("a product");
+        equations.apply_image_factors(vector, result);
+        equations.apply_point_factors(vector, result);
+        device.download(result, y);
+    }
+}
+
+}  // namespace
+}  // namespace clba
+
+using namespace clba;
+
+const char* clba_linear_solver_name(int32_t linear_solver) {
+    switch (linear_solver) {
+        case CLBA_LINEAR_SOLVER_PCG_SCHUR:
+            return "pcg_schur";
+        case CLBA_LINEAR_SOLVER_PCG_HESSIAN:
+            return "pcg_hessian";
+        case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
+            return "direct_schur";
+        default:
+            return nullptr;
+    }
+}
+
+const char* clba_preconditioner_name(int32_t preconditioner) {
+    switch (preconditioner) {
+        case CLBA_PRECONDITIONER_DEFAULT:
+            return "default";
+        case CLBA_PRECONDITIONER_BLOCK_JACOBI:
+            return "block_jacobi";
+        case CLBA_PRECONDITIONER_SCHUR_JACOBI:
+            return "schur_jacobi";
+        default:
+            return nullptr;
+    }
+}
+
+const char* clba_damping_name(int32_t damping) {
+    switch (damping) {
+        case CLBA_DAMPING_MARQUARDT:
+            return "marquardt";
+        case CLBA_DAMPING_LEVENBERG:
+            return "levenberg";
+        case CLBA_DAMPING_UNCERTAINTY:
+            return "uncertainty";
+        default:
+            return nullptr;
+    }
+}
+
+const char* clba_precision_name(int32_t precision) {
+    switch (precision) {
+        case CLBA_PRECISION_DOUBLE:
+            return "double";
+        case CLBA_PRECISION_MIXED:
+            return "mixed";
+        default:
+            return nullptr;
+    }
+}
+
+clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size) {
+    return guarded([&] { init_struct(options, struct_size, default_solver_options(), "options"); });
+}
+
+clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
+                               const clba_solver_options* options, clba_result** result) {
+    if (result) *result = nullptr;
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        require_pointer(context, "context");
+        const clba_solver_options given = copied_in(options, default_solver_options(), "options");
+        MinimizerOptions internal = minimizer_options(given);
+        const Precision precision = checked_precision(given.precision);
+        if (given.on_iteration)
+            internal.on_iteration = [&given](const IterationRow& row) {
+                const clba_iteration out = public_row(row);
+                return given.on_iteration(&out, given.user_data) == 0;
+            };
+        try {
+            const Summary summary = solve(problem->problem, context->context, internal, precision,
+                                          problem->mirror);
+            if (result) *result = make_result(summary).release();
+        } catch (...) {
+            problem->mirror.reset();
+            throw;
+        }
+    });
+}
+
+void clba_result_release(clba_result* result) { delete result; }
+
+clba_status clba_result_get_summary(const clba_result* result, clba_summary* summary) {
+    return guarded([&] {
+        require_pointer(result, "result");
+        copy_out(result->summary, summary, "summary");
+    });
+}
+
+int32_t clba_result_num_rows(const clba_result* result) {
+    return result ? static_cast<int32_t>(result->rows.size()) : 0;
+}
+
+clba_status clba_result_get_row(const clba_result* result, int32_t index, clba_iteration* row) {
+    return guarded([&] {
+        require_pointer(result, "result");
+        require(index >= 0 && index < clba_result_num_rows(result), "index = ", index,
+                ", but there are ", clba_result_num_rows(result), " rows");
+        copy_out(result->rows[static_cast<size_t>(index)], row, "row");
+    });
+}
+
+const char* clba_result_report(const clba_result* result) {
+    return result ? result->report.c_str() : "";
+}
+
+const char* clba_result_json(const clba_result* result) {
+    return result ? result->json.c_str() : "{}";
+}
+
+clba_status clba_evaluation_init(clba_evaluation* evaluation, size_t struct_size) {
+    return guarded(
+        [&] { init_struct(evaluation, struct_size, default_evaluation(), "evaluation"); });
+}
+
+clba_status clba_problem_evaluate(clba_problem* problem, clba_context* context,
+                                  clba_evaluation* evaluation) {
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        require_pointer(context, "context");
+        require_pointer(evaluation, "evaluation");
+        clba_evaluation request = copied_in(evaluation, default_evaluation(), "evaluation");
+        with_mirror(problem, context, checked_precision(request.precision),
+                    [&](DeviceProblem& device) { evaluate(problem->problem, device, request); });
+        copy_out(request, evaluation, "evaluation");
+    });
+}
+
+clba_status clba_problem_multiply(clba_problem* problem, clba_context* context, int32_t product,
+                                  int32_t precision, double lambda, const double* x, double* y) {
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        require_pointer(context, "context");
+        require_pointer(x, "x");
+        require_pointer(y, "y");
+        require(product >= CLBA_PRODUCT_JX && product <= CLBA_PRODUCT_BLOCK_JACOBI,
+                "product = ", product, ", but the products are ", int{CLBA_PRODUCT_JX}, " to ",
+                int{CLBA_PRODUCT_BLOCK_JACOBI});
+        require(std::isfinite(lambda) && lambda >= 0, "lambda = ", lambda,
+                ", but it must be finite and >= 0");
+        with_mirror(problem, context, checked_precision(precision), [&](DeviceProblem& device) {
+            multiply(problem->problem, device, product, lambda, x, y);
+        });
+    });
+}

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "base/atomic_file.hpp"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+
+#include "base/error.hpp"
+
+namespace clba {
+
+AtomicFile::AtomicFile(std::string path) : path_(std::move(path)) {
+    static std::atomic<unsigned> counter{0};
+    temporary_ = text(path_, ".", ::getpid(), ".", counter++, ".tmp");
+    const int descriptor =
+        ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    if (descriptor >= 0) file_ = ::fdopen(descriptor, "wb");
+    if (!file_)
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno),
+             "; its folder must exist and be writable");
+}
+
+AtomicFile::~AtomicFile() {
+    if (!file_) return;
+    std::fclose(file_);
+    ::unlink(temporary_.c_str());
+}
+
+void AtomicFile::write(std::string_view bytes) {
+    if (std::fwrite(bytes.data(), 1, bytes.size(), file_) != bytes.size())
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno));
+}
+
+void AtomicFile::commit() {
+    if (std::fflush(file_) != 0 || ::fsync(::fileno(file_)) != 0)
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno));
+    std::fclose(file_);
+    file_ = nullptr;
+    if (std::rename(temporary_.c_str(), path_.c_str()) != 0) {
+        const int reason = errno;
+        ::unlink(temporary_.c_str());
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(reason));
+    }
+}
+
+}  // namespace clba

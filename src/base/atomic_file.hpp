@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <cstdio>
+#include <string>
+#include <string_view>
+
+namespace clba {
+
+// A file that appears under its name only when it is complete: written to a temporary beside it
+// (unique to the process and the object) and renamed by commit(). Destroyed before that, the
+// temporary is removed and whatever stood under the name stays. Errors are Status::file and give
+// the path and the system's reason.
+class AtomicFile {
+public:
+    explicit AtomicFile(std::string path);
+    ~AtomicFile();
+    AtomicFile(const AtomicFile&) = delete;
+    AtomicFile& operator=(const AtomicFile&) = delete;
+
+    void write(std::string_view bytes);
+    void commit();  // flushes to disk, closes, renames
+
+private:
+    std::string path_;
+    std::string temporary_;
+    std::FILE* file_ = nullptr;
+};
+
+}  // namespace clba

@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <memory>
+
+#include "clba/clba.h"
+#include "cli/exit_code.hpp"
+
+namespace cli {
+
+struct Release {
+    void operator()(clba_context* context) const { clba_context_release(context); }
+    void operator()(clba_problem* problem) const { clba_problem_release(problem); }
+    void operator()(clba_result* result) const { clba_result_release(result); }
+};
+using Context = std::unique_ptr<clba_context, Release>;
+using Problem = std::unique_ptr<clba_problem, Release>;
+using Result = std::unique_ptr<clba_result, Release>;
+
+inline Problem read_problem(const std::string& path) {
+    clba_problem* problem = nullptr;
+    check(clba_problem_read_bal(path.c_str(), &problem));
+    return Problem(problem);
+}
+
+inline clba_problem_info info_of(const clba_problem* problem) {
+    clba_problem_info info = {};
+    info.struct_size = sizeof info;
+    check(clba_problem_get_info(problem, &info));
+    return info;
+}
+
+}  // namespace cli

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "cli/outputs.hpp"
+
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <set>
+
+#include "cli/exit_code.hpp"
+
+namespace cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+void check_output(const fs::path& path) {
+    const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
+    std::error_code ignored;
+    if (!fs::is_directory(folder, ignored))
+        throw Failure(ExitCode::file, path.string() + ": there is no folder " + folder.string() +
+                                          " to write to; create it first");
+    if (fs::is_directory(path, ignored) || !path.has_filename())
+        throw Failure(ExitCode::file, path.string() + ": is a folder, not a file to write");
+    if (::access(folder.c_str(), W_OK | X_OK) != 0)
+        throw Failure(ExitCode::file, path.string() + ": cannot write to folder " +
+                                          folder.string() + ": " + std::strerror(errno));
+}
+
+}  // namespace
+
+void check_outputs(const std::vector<std::string>& paths) {
+    std::set<fs::path> seen;
+    for (const std::string& path : paths) {
+        if (path.empty()) continue;
+        check_output(path);
+        if (!seen.insert(fs::weakly_canonical(fs::absolute(path))).second)
+            throw Failure(ExitCode::usage, path + ": two outputs have this name");
+    }
+}
+
+void write_text(const std::string& path, const std::string& text) {
+    const std::string temporary = path + ".tmp." + std::to_string(::getpid());
+    std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
+    file << text;
+    file.close();
+    std::error_code error;
+    if (file) fs::rename(temporary, path, error);
+    if (!file || error) {
+        const std::string reason = error ? error.message() : std::strerror(errno);
+        fs::remove(temporary, error);
+        throw Failure(ExitCode::file, path + ": cannot be written: " + reason);
+    }
+}
+
+}  // namespace cli

@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdio>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "cli/commands.hpp"
+#include "cli/handles.hpp"
+#include "cli/interrupt.hpp"
+#include "cli/options.hpp"
+#include "cli/outputs.hpp"
+#include "cli/solver_run.hpp"
+#include "cli/verify.hpp"
+
+namespace cli {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct SolveArguments {
+    SolveArguments() { check(clba_solver_options_init(&options, sizeof options)); }
+    clba_solver_options options = {};
+    std::string file;
+    std::string output;
+    std::string ply;
+    std::string json;
+    std::string device;
+    int32_t loss = CLBA_LOSS_NONE;
+    double loss_scale = 1;
+    bool verify = false;
+    bool quiet = false;
+};
+
+Context make_context(const std::string& device) {
+    clba_context_options options = {};
+    check(clba_context_options_init(&options, sizeof options));
+    if (!device.empty()) options.device = device.c_str();
+    clba_context* context = nullptr;
+    check(clba_context_create(&options, &context));
+    return Context(context);
+}
+
+Problem read_start(const SolveArguments& arguments) {
+    Problem problem = read_problem(arguments.file);
+    if (info_of(problem.get()).num_observations == 0)
+        throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
+    check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
+    return problem;
+}
+
+void write_states(const clba_problem* problem, const SolveArguments& arguments) {
+    if (!arguments.output.empty()) check(clba_problem_write_bal(problem, arguments.output.c_str()));
+    if (!arguments.ply.empty()) check(clba_problem_write_ply(problem, arguments.ply.c_str()));
+}
+
+Json summary_json(const SolveArguments& arguments, const clba_problem* problem,
+                  const clba_result* result) {
+    const clba_problem_info info = info_of(problem);
+    Json json = {
+        {"file", arguments.file},
+        {"images", info.num_images},
+        {"points", info.num_points},
+        {"observations", info.num_observations},
+        {"loss", clba_loss_name(arguments.loss)},
+        {"loss_scale", arguments.loss_scale},
+    };
+    json.update(Json::parse(clba_result_json(result)));
+    return json;
+}
+
+void write_json(const std::string& path, const Json& json) {
+    // File names need not be UTF-8; what is not is replaced.
+    if (!path.empty())
+        write_text(path, json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n');
+}
+
+ExitCode exit_code_of(const clba_summary& summary) {
+    if (summary.termination == CLBA_FAILURE) return ExitCode::not_solved;
+    return interrupted() ? ExitCode::interrupted : ExitCode::ok;
+}
+
+ExitCode solve(const SolveArguments& arguments) {
+    check_outputs({arguments.output, arguments.ply, arguments.json});
+    const Context context = make_context(arguments.device);
+    const Problem problem = read_start(arguments);
+    // Read now, because the output may replace the file.
+    const Problem start = arguments.verify ? read_start(arguments) : nullptr;
+
+    const Result result =
+        run_solver(problem.get(), context.get(), arguments.options, arguments.quiet);
+    write_states(problem.get(), arguments);
+    Json json = summary_json(arguments, problem.get(), result.get());
+    write_json(arguments.json, json);
+    if (!arguments.quiet) std::printf("\n%s", clba_result_report(result.get()));
+
+    const clba_summary summary = summary_of(result.get());
+    if (arguments.verify && exit_code_of(summary) == ExitCode::ok) {
+        json["verify"] = verify(problem.get(), summary, start.get(), context.get(),
+                                arguments.options, arguments.quiet);
+        write_json(arguments.json, json);
+    }
+    return exit_code_of(summary);
+}
+
+void add_output_options(CLI::App& command, SolveArguments& arguments) {
+    command.add_option("-o,--output", arguments.output,
+                       "BAL file of the solution; compressed if it ends in .gz or .bz2");
+    command.add_option("--ply", arguments.ply, "PLY file of points and camera centres");
+    command.add_option("--json", arguments.json, "JSON file of the summary and every iteration");
+    command.add_flag("--verify", arguments.verify,
+                     "solve again by direct_schur in double precision and compare");
+    command.add_flag("--quiet", arguments.quiet, "print errors only");
+}
+
+void add_solver_options(CLI::App& command, SolveArguments& arguments) {
+    clba_solver_options& options = arguments.options;
+    command.add_option("--device", arguments.device,
+                       "index, or part of the platform's or device's name; default: environment "
+                       "CLBA_DEVICE, else the best found");
+    add_choice(command, "--linear-solver", options.linear_solver, clba_linear_solver_name,
+               "how the step is computed");
+    add_choice(command, "--preconditioner", options.preconditioner, clba_preconditioner_name,
+               "of the conjugate gradients");
+    add_choice(command, "--precision", options.precision, clba_precision_name,
+               "mixed: fp32 matrix products, all else in fp64");
+    add_choice(command, "--damping", options.damping, clba_damping_name,
+               "diagonal that the damping multiplies");
+    add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");
+    command.add_option("--loss-scale", arguments.loss_scale, "where the loss sets in, pixels")
+        ->check(positive_number)
+        ->capture_default_str();
+}
+
+void add_limits(CLI::App& command, clba_solver_options& options) {
+    command.add_option("--max-iterations", options.max_num_iterations, "limit on iterations")
+        ->check(non_negative_number)
+        ->capture_default_str();
+    command
+        .add_option("--max-linear-solver-iterations", options.max_linear_solver_iterations,
+                    "limit on iterations of the conjugate gradients in a step")
+        ->check(positive_number)
+        ->capture_default_str();
+    command.add_option("--time-limit", options.max_seconds, "limit on seconds of the solve")
+        ->check(positive_number);
+    command.add_option("--eta", options.eta, "forcing term of the inexact step, between 0 and 1")
+        ->capture_default_str();
+    command
+        .add_option("--function-tolerance", options.function_tolerance,
+                    "end if the cost changes by less, relatively")
+        ->capture_default_str();
+    command
+        .add_option("--gradient-tolerance", options.gradient_tolerance,
+                    "end if no entry of the gradient is larger")
+        ->capture_default_str();
+    command
+        .add_option("--parameter-tolerance", options.parameter_tolerance,
+                    "end if the step is shorter, relatively")
+        ->capture_default_str();
+    command
+        .add_option("--initial-radius", options.initial_trust_region_radius,
+                    "1 / lambda of the first step")
+        ->check(positive_number)
+        ->capture_default_str();
+}
+
+}  // namespace
+
+void add_solve(CLI::App& program, int& result) {
+    CLI::App* command = program.add_subcommand("solve", "Refine a problem");
+    command->footer(exit_code_help);
+    const auto arguments = std::make_shared<SolveArguments>();
+    command->add_option("FILE", arguments->file, "BAL problem: plain, gzip or bzip2 text")
+        ->required();
+    add_output_options(*command, *arguments);
+    add_solver_options(*command, *arguments);
+    add_limits(*command, arguments->options);
+    command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });
+}
+
+}  // namespace cli

@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "device/queue.hpp"
+#include "linear/vector.hpp"
+#include "problem/parameter_layout.hpp"
+#include "problem/problem.hpp"
+#include "problem/visibility_tiles.hpp"
+
+namespace clba {
+
+enum class Precision : int { double_precision = 1, mixed = 2 };
+
+// REAL of the kernels: what the Jacobian is stored in and products are computed in.
+inline const char* real_type(Precision precision) {
+    return precision == Precision::double_precision ? "double" : "float";
+}
+inline size_t real_bytes(Precision precision) {
+    return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+}
+
+// A segment (problem/visibility_tiles.hpp) on the device.
+struct DeviceSegment {
+    int32_t model = 0;
+    int32_t num_columns = 0;
+    int32_t num_runs = 0, num_slots = 0, num_blocks = 0;
+    Buffer tile_runs, run_image, run_slots, slot_point;
+    Buffer xy;         // run by run, 2 rows of its slots
+    Buffer whitening;  // run by run, 3 rows of its slots; only if there are covariances
+    Buffer block_offset, block_size, block_column, block_runs, runs, matrix_offset;
+};
+
+struct DeviceChunk {
+    int32_t num_tiles = 0, num_point_slots = 0;
+    Buffer tile_points, tile_num_points;
+    Buffer point_scale;  // 3 rows; only if a point is constant or has an uncertainty
+    std::vector<DeviceSegment> segments;
+    const Buffer* point_scale_or_null() const { return point_scale ? &point_scale : nullptr; }
+};
+
+// Poses (7 doubles an image), camera parameters (max_camera_params a camera) and points (3 rows over
+// the point slots of each chunk).
+struct State {
+    Buffer poses, camera_params;
+    std::vector<Buffer> points;
+    void swap(State& other) noexcept {
+        poses.swap(other.poses);
+        camera_params.swap(other.camera_params);
+        points.swap(other.points);
+    }
+};
+
+// A problem on a device: its structure in tiles, its measurements and two states. Everything that is
+// laid out on the device is translated to and from the caller's order here.
+class DeviceProblem {
+public:
+    DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
+
+    Queue& queue() { return queue_; }
+    Precision precision() const { return precision_; }
+    const ParameterLayout& layout() const { return layout_; }
+    VectorOperations& vectors() { return vectors_; }
+    int64_t num_observations() const { return num_observations_; }
+    int32_t num_points() const { return num_points_; }
+    const std::vector<DeviceChunk>& chunks() const { return chunks_; }
+    int32_t max_tiles_per_chunk() const;
+
+    void upload_state(const Problem& problem);        // into `state`
+    void download_state(Problem& problem) const;      // from `state`
+    // trial = state moved by step.
+    void update(const Vector& step);
+
+    State state, trial;
+
+    // Vectors: zero-filled, and between the caller's order (F scalars, then 3 a point) and ours.
+    Vector make_vector(const std::string& label);          // F and E
+    Vector make_reduced_vector(const std::string& label);  // F alone
+    std::vector<Buffer> make_point_rows(int rows, size_t value_bytes, const std::string& label);
+    // One buffer a segment, in the order of chunks and their segments: rows_of(num_columns) rows over
+    // its slots, run by run.
+    template <class RowsOf>
+    std::vector<Buffer> make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
+                                       const std::string& label);
+    void upload(const double* values, Vector& vector) const;
+    void download(const Vector& vector, double* values) const;
+    // visit(observation, num_columns, value) for each observation's slot in buffers made by
+    // make_slot_rows; value(row) is a reference to what the slot has in that row.
+    template <class Value, class RowsOf, class Visit>
+    void visit_slots(const std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit) const;
+    // The same, to write: slots that hold no observation are 0.
+    template <class Value, class RowsOf, class Visit>
+    void fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit);
+
+    const VisibilityTiles& tiles() const { return tiles_; }
+    size_t num_segments() const;
+
+    // Buffers of the F side.
+    Buffer pose_offsets;        // of each image in an F vector
+    Buffer intrinsics_offsets;  // of each image's camera
+    Buffer scale_f;             // ParameterLayout::scale
+    Buffer block_offset, block_size, matrix_offset;  // of ParameterLayout::blocks
+    int32_t num_blocks() const { return static_cast<int32_t>(layout_.blocks.size()); }
+    uint64_t matrices_bytes() const { return matrices_bytes_; }  // packed lower triangles, doubles
+    int32_t num_images() const { return num_images_; }
+    // Records of `of` for kernels over observations; filled by update_image_records.
+    Buffer image_records;
+    void update_image_records(const State& of);
+
+private:
+    template <class Value>
+    Buffer upload_values(const std::vector<Value>& values, const char* label);
+    void upload_structure(const Problem& problem);
+    DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
+    State make_state();
+
+    Queue queue_;
+    Precision precision_;
+    ParameterLayout layout_;
+    VisibilityTiles tiles_;
+    VectorOperations vectors_;
+    int64_t num_observations_ = 0;
+    int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0;
+    uint64_t matrices_bytes_ = 0;
+    std::vector<DeviceChunk> chunks_;
+    Buffer image_camera_, camera_num_params_, camera_offsets_;
+};
+
+template <class RowsOf>
+std::vector<Buffer> DeviceProblem::make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
+                                                  const std::string& label) {
+    std::vector<Buffer> buffers;
+    for (const DeviceChunk& chunk : chunks_)
+        for (const DeviceSegment& segment : chunk.segments)
+            buffers.emplace_back(queue_,
+                                 static_cast<uint64_t>(segment.num_slots) *
+                                     static_cast<uint64_t>(rows_of(segment.num_columns)) *
+                                     value_bytes,
+                                 label);
+    return buffers;
+}
+
+namespace detail {
+
+// Walks the slots of a segment; base points to the segment's rows.
+template <class Value, class Visit>
+void walk_slots(const Segment& segment, int rows, Value* base, Visit&& visit) {
+    for (int32_t run = 0; run < segment.num_runs(); ++run) {
+        const int64_t first = segment.run_slots[run];
+        const int64_t n = segment.run_slots[run + 1] - first;
+        for (int64_t l = 0; l < n; ++l) {
+            const int64_t observation = segment.slot_observation[first + l];
+            if (observation >= 0)
+                visit(observation, segment.num_columns(),
+                      [&](int row) -> Value& { return base[rows * first + row * n + l]; });
+        }
+    }
+}
+
+}  // namespace detail
+
+template <class Value, class RowsOf, class Visit>
+void DeviceProblem::visit_slots(const std::vector<Buffer>& slots, RowsOf&& rows_of,
+                                Visit&& visit) const {
+    size_t index = 0;
+    for (const Chunk& chunk : tiles_.chunks) {
+        for (const Segment& segment : chunk.segments) {
+            const auto mapping = slots[index++].map_read<Value>();
+            detail::walk_slots(segment, rows_of(segment.num_columns()), mapping.data(), visit);
+        }
+    }
+}
+
+template <class Value, class RowsOf, class Visit>
+void DeviceProblem::fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit) {
+    size_t index = 0;
+    for (const Chunk& chunk : tiles_.chunks) {
+        for (const Segment& segment : chunk.segments) {
+            Buffer& buffer = slots[index++];
+            const auto mapping = buffer.map_write<Value>();
+            std::fill_n(mapping.data(), buffer.bytes() / sizeof(Value), Value{0});
+            detail::walk_slots(segment, rows_of(segment.num_columns()), mapping.data(), visit);
+        }
+    }
+}
+
+}  // namespace clba

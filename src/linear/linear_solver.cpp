@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "linear/linear_solver.hpp"
+
+#include "linear/direct_solver.hpp"
+#include "linear/pcg_solvers.hpp"
+
+namespace clba {
+
+std::unique_ptr<LinearSolver> make_linear_solver(const LinearSolverOptions& options,
+                                                 const Problem& problem,
+                                                 NormalEquations& equations) {
+    switch (options.kind) {
+        case LinearSolverKind::pcg_hessian:
+            return std::make_unique<PcgHessian>(options, equations);
+        case LinearSolverKind::direct_schur:
+            return std::make_unique<DirectSolver>(problem, equations);
+        default:
+            return std::make_unique<PcgSchur>(options, equations);
+    }
+}
+
+}  // namespace clba

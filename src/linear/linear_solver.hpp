@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <memory>
+
+#include "linear/normal_equations.hpp"
+#include "problem/problem.hpp"
+
+namespace clba {
+
+enum class LinearSolverKind : int { pcg_schur = 1, pcg_hessian = 2, direct_schur = 3 };
+enum class Preconditioner : int { none = 0, block_jacobi = 1, schur_jacobi = 2 };
+
+struct LinearSolverOptions {
+    LinearSolverKind kind = LinearSolverKind::pcg_schur;
+    Preconditioner preconditioner = Preconditioner::schur_jacobi;
+    int min_iterations = 0;
+    int max_iterations = 500;
+    double eta = 0.1;  // forcing term of PCG's stopping test
+};
+
+struct LinearSolution {
+    bool is_usable = false;  // false: no step, damp more
+    int num_iterations = 0;
+    int64_t num_indefinite_blocks = 0;
+};
+
+// Solves (J^T J + lambda D^2) step = -gradient for the current normal equations.
+class LinearSolver {
+public:
+    virtual ~LinearSolver() = default;
+    virtual LinearSolution solve(double lambda, Vector& step) = 0;
+};
+
+// problem is the host's, in the order of the device's.
+std::unique_ptr<LinearSolver> make_linear_solver(const LinearSolverOptions& options,
+                                                 const Problem& problem,
+                                                 NormalEquations& equations);
+
+}  // namespace clba

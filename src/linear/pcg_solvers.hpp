@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include "linear/linear_solver.hpp"
+#include "linear/pcg.hpp"
+
+namespace clba {
+
+// PCG on H_lambda = J^T J + lambda D^2, never formed: w = J^T (J p) + lambda D^2 p, with the
+// block-diagonal preconditioner blockdiag(U_lambda, V_lambda)^-1 (Tong et al. 2013, eq. 7 and 8).
+class PcgHessian : public LinearSolver, private PcgSystem {
+public:
+    PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
+    LinearSolution solve(double lambda, Vector& step) override;
+
+private:
+    void multiply(const Vector& p, Vector& q) override;
+    void precondition(const Vector& r, Vector& z) override;
+
+    PcgOptions options_;
+    NormalEquations& equations_;
+    double lambda_ = 0;
+    PcgWork work_;
+    Vector b_;
+};
+
+// PCG on the reduced camera system S = U_lambda - W V_lambda^-1 W^T, never formed, and
+// back-substitution of the points.
+class PcgSchur : public LinearSolver, private PcgSystem {
+public:
+    PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
+    LinearSolution solve(double lambda, Vector& step) override;
+
+private:
+    void multiply(const Vector& p, Vector& q) override;
+    void precondition(const Vector& r, Vector& z) override;
+
+    PcgOptions options_;
+    Preconditioner preconditioner_;
+    NormalEquations& equations_;
+    double lambda_ = 0;
+    PcgWork work_;
+    Vector b_;      // F alone
+    Vector points_;  // scratch: F and E
+    Buffer schur_blocks_;
+};
+
+}  // namespace clba

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "linear/device_problem.hpp"
+#include "linear/normal_equations.hpp"
+#include "problem/loss.hpp"
+
+namespace clba {
+
+struct CostEvaluation {
+    double cost = 0;           // 1/2 sum rho(|r|^2)
+    int64_t num_behind = 0;    // observations of points behind their camera
+    int64_t num_singular = 0;  // observations in the camera's own plane
+};
+
+// Residuals, cost and derivatives of a problem's states.
+class Evaluator {
+public:
+    Evaluator(DeviceProblem& problem, const Problem& host);
+
+    // residuals: NULL, or slots of 2 rows of doubles for sqrt(rho') r.
+    CostEvaluation cost(const State& state, std::vector<Buffer>* residuals);
+    // Jacobian and gradient at problem.state.
+    void linearize(NormalEquations& equations);
+
+private:
+    Kernel& kernel(const char* path, const char* name, const DeviceSegment& segment);
+
+    DeviceProblem& problem_;
+    Queue& queue_;
+    Loss loss_;
+    std::vector<double> sums_;
+    Buffer tile_sums_;
+    Buffer run_gradient_;
+};
+
+}  // namespace clba

@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "optimizer/minimizer.hpp"
+
+#include <cmath>
+
+#include "base/error.hpp"
+#include "optimizer/evaluator.hpp"
+#include "optimizer/stopwatch.hpp"
+#include "optimizer/trust_region.hpp"
+
+namespace clba {
+namespace {
+
+// The loop, one object a solve. Each test that may end it says why in the summary.
+class Minimizer {
+public:
+    Minimizer(const MinimizerOptions& options, const Problem& host, DeviceProblem& device,
+              double start_seconds, Summary& summary)
+        : options_(options),
+          device_(device),
+          vectors_(device.vectors()),
+          start_seconds_(start_seconds),
+          summary_(summary),
+          evaluator_(device, host),
+          equations_(device, options.damping),
+          solver_(make_linear_solver(options.linear_solver, host, equations_)),
+          step_(device.make_vector("the step")),
+          trust_region_(options.initial_radius, options.max_radius) {
+        summary_.setup_seconds += lap();
+    }
+
+    void run() {
+        if (!start()) return;
+        while (!is_finished()) {
+            row_ = IterationRow();
+            row_.iteration = static_cast<int>(summary_.rows.size());
+            take_step();
+            if (finish_iteration()) return;
+        }
+    }
+
+    void finish() {
+        summary_.final_cost = current_.cost;
+        summary_.num_behind_final = current_.num_behind;
+        summary_.num_singular = current_.num_singular;
+        summary_.step_seconds = device_.queue().step_seconds();
+    }
+
+private:
+    void end(Termination termination, Reason reason, const std::string& message) {
+        summary_.termination = termination;
+        summary_.reason = reason;
+        summary_.message = message;
+    }
+
+    // Cost and derivatives of the initial state.
+    bool start() {
+        const CostEvaluation initial = evaluator_.cost(device_.state, nullptr);
+        summary_.evaluate_seconds += lap();
+        current_ = initial;
+        summary_.initial_cost = initial.cost;
+        summary_.num_behind_initial = initial.num_behind;
+        row_.step_is_accepted = row_.step_is_valid = true;
+        if (!std::isfinite(initial.cost)) {
+            end(Termination::failure, Reason::invalid_start,
+                "The cost at the initial point is not finite.");
+            log_row();
+            return false;
+        }
+        linearize();
+        if (!std::isfinite(gradient_max_norm_)) {
+            end(Termination::failure, Reason::invalid_start,
+                "The gradient at the initial point is not finite.");
+            log_row();
+            return false;
+        }
+        state_norm_ = state_norm();
+        return !finish_iteration();
+    }
+
+    void linearize() {
+        evaluator_.linearize(equations_);
+        equations_.update_blocks();
+        gradient_max_norm_ = vectors_.max_abs(equations_.gradient);
+        summary_.linearize_seconds += lap();
+    }
+
+    double state_norm() {
+        double sum = vectors_.squared_norm(device_.state.poses) +
+                     vectors_.squared_norm(device_.state.camera_params);
+        for (const Buffer& points : device_.state.points) sum += vectors_.squared_norm(points);
+        return std::sqrt(sum);
+    }
+
+    bool is_finished() {
+        const auto iterations = static_cast<int>(summary_.rows.size()) - 1;
+        if (iterations >= options_.max_iterations) {
+            end(Termination::no_convergence, Reason::max_iterations,
+                text("Maximum number of iterations reached: ", iterations, "."));
+            return true;
+        }
+        if (seconds() >= options_.max_seconds) {
+            end(Termination::no_convergence, Reason::max_seconds,
+                text("Time budget used up: ", options_.max_seconds, " s."));
+            return true;
+        }
+        if (trust_region_.radius() < options_.min_radius) {
+            end(Termination::convergence, Reason::min_radius,
+                text("Trust region radius ", trust_region_.radius(), " < ", options_.min_radius,
+                     "."));
+            return true;
+        }
+        return false;
+    }
+
+    // Computes a step and takes it if the cost falls enough.
+    void take_step() {
+        const LinearSolution solution = solver_->solve(trust_region_.lambda(), step_);
+        summary_.num_indefinite_blocks += solution.num_indefinite_blocks;
+        summary_.num_linear_solver_iterations += solution.num_iterations;
+        row_.linear_solver_iterations = solution.num_iterations;
+        double model_decrease = 0;  // -g . step - 1/2 |J step|^2
+        if (solution.is_usable) {
+            model_decrease = -vectors_.dot(equations_.gradient, step_) -
+                             0.5 * equations_.jacobian.squared_norm(step_);
+            row_.step_norm = std::sqrt(vectors_.dot(step_, step_));
+        }
+        summary_.linear_solver_seconds += lap();
+        // False for NaN too.
+        if (!solution.is_usable || !(model_decrease > 0) || !std::isfinite(row_.step_norm)) {
+            handle_invalid_step();
+            return;
+        }
+        device_.update(step_);
+        const CostEvaluation trial = evaluator_.cost(device_.trial, nullptr);
+        summary_.evaluate_seconds += lap();
+        if (!std::isfinite(trial.cost)) {
+            handle_invalid_step();
+            return;
+        }
+        consecutive_invalid_steps_ = 0;
+        row_.step_is_valid = true;
+        row_.cost_change = current_.cost - trial.cost;
+        row_.gain_ratio = row_.cost_change / model_decrease;
+        if (row_.cost_change > 0 && row_.gain_ratio > options_.min_relative_decrease) {
+            row_.step_is_accepted = true;
+            device_.state.swap(device_.trial);
+            current_ = trial;
+            ++summary_.num_accepted_steps;
+            trust_region_.accept(row_.gain_ratio);
+            linearize();
+            state_norm_ = state_norm();
+        } else {
+            ++summary_.num_rejected_steps;
+            trust_region_.reject();
+        }
+    }
+
+    void handle_invalid_step() {
+        ++summary_.num_invalid_steps;
+        ++consecutive_invalid_steps_;
+        trust_region_.reject();
+    }
+
+    void log_row() {
+        row_.cost = current_.cost;
+        row_.num_behind = current_.num_behind;
+        row_.gradient_max_norm = gradient_max_norm_;
+        row_.trust_region_radius = trust_region_.radius();
+        row_.seconds = seconds();
+        summary_.rows.push_back(row_);
+    }
+
+    // Logs the row and looks at every reason to stop that it may give.
+    bool finish_iteration() {
+        log_row();
+        const bool goes_on = !options_.on_iteration || options_.on_iteration(row_);
+        if (has_converged()) return true;
+        if (!goes_on) {
+            end(Termination::user_stop, Reason::callback, "The iteration callback stopped it.");
+            return true;
+        }
+        if (consecutive_invalid_steps_ > options_.max_consecutive_invalid_steps) {
+            end(Termination::failure, Reason::invalid_steps,
+                text(consecutive_invalid_steps_,
+                     " steps in a row were invalid: the linear solver found none, or the cost was "
+                     "not finite."));
+            return true;
+        }
+        return false;
+    }
+
+    bool has_converged() {
+        if (current_.cost <= options_.target_cost) {
+            end(Termination::convergence, Reason::target_cost,
+                text("Target cost reached: ", current_.cost, " <= ", options_.target_cost, "."));
+            return true;
+        }
+        if (gradient_max_norm_ <= options_.gradient_tolerance) {
+            end(Termination::convergence, Reason::gradient_tolerance,
+                text("Gradient tolerance reached: |gradient| ", gradient_max_norm_, " <= ",
+                     options_.gradient_tolerance, "."));
+            return true;
+        }
+        if (row_.iteration == 0 || !row_.step_is_valid) return false;
+        const double smallest_step =
+            options_.parameter_tolerance * (state_norm_ + options_.parameter_tolerance);
+        if (row_.step_norm <= smallest_step) {
+            end(Termination::convergence, Reason::parameter_tolerance,
+                text("Parameter tolerance reached: |step| ", row_.step_norm, " <= ", smallest_step,
+                     "."));
+            return true;
+        }
+        const double smallest_change = options_.function_tolerance * current_.cost;
+        if (std::abs(row_.cost_change) <= smallest_change) {
+            end(Termination::convergence, Reason::function_tolerance,
+                text("Function tolerance reached: |cost change| ", std::abs(row_.cost_change),
+                     " <= ", smallest_change, "."));
+            return true;
+        }
+        return false;
+    }
+
+    double seconds() const { return start_seconds_ + watch_.seconds(); }
+
+    // Seconds since the last lap, less those that went into building kernels.
+    double lap() {
+        const double build_seconds = device_.queue().context().build_seconds();
+        const double built = build_seconds - build_seconds_;
+        build_seconds_ = build_seconds;
+        summary_.build_seconds += built;
+        return watch_.lap() - built;
+    }
+
+    const MinimizerOptions& options_;
+    DeviceProblem& device_;
+    VectorOperations& vectors_;
+    double start_seconds_;
+    Summary& summary_;
+    Stopwatch watch_;
+    double build_seconds_ = device_.queue().context().build_seconds();
+    Evaluator evaluator_;
+    NormalEquations equations_;
+    std::unique_ptr<LinearSolver> solver_;
+    Vector step_;
+    TrustRegion trust_region_;
+    CostEvaluation current_;
+    double gradient_max_norm_ = 0;
+    double state_norm_ = 0;
+    int consecutive_invalid_steps_ = 0;
+    IterationRow row_;
+};
+
+}  // namespace
+
+void minimize(const MinimizerOptions& options, const Problem& host, DeviceProblem& device,
+              double start_seconds, Summary& summary) {
+    Minimizer minimizer(options, host, device, start_seconds, summary);
+    minimizer.run();
+    minimizer.finish();
+}
+
+}  // namespace clba

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "optimizer/solve.hpp"
+
+#include <algorithm>
+
+#include "base/error.hpp"
+#include "optimizer/stopwatch.hpp"
+#include "reference/bundle.hpp"
+
+namespace clba {
+namespace {
+
+bool has_free_parameters(const Problem& problem, const ParameterLayout& layout) {
+    if (std::any_of(layout.scale.begin(), layout.scale.end(), [](double c) { return c > 0; }))
+        return true;
+    for (int32_t p = 0; p < problem.num_points(); ++p)
+        if (point_scale(problem, p)[0] > 0) return true;
+    return false;
+}
+
+}  // namespace
+
+DeviceProblem& mirror(const Problem& problem, const std::shared_ptr<Context>& context,
+                      Precision precision, std::unique_ptr<DeviceProblem>& device) {
+    if (!device || &device->queue().context() != context.get() ||
+        device->precision() != precision) {
+        device.reset();
+        device = std::make_unique<DeviceProblem>(context, problem, precision);
+    }
+    device->upload_state(problem);
+    return *device;
+}
+
+Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
+              const MinimizerOptions& options, Precision precision,
+              std::unique_ptr<DeviceProblem>& device) {
+    const Stopwatch watch;
+    Summary summary;
+    summary.linear_solver = options.linear_solver.kind;
+    summary.preconditioner = options.linear_solver.preconditioner;
+    summary.damping = options.damping.policy;
+    summary.precision = precision;
+    summary.device = context->device().name;
+    if (problem.observations.empty() || !has_free_parameters(problem, ParameterLayout(problem))) {
+        summary.termination = Termination::convergence;
+        summary.reason = Reason::nothing_to_do;
+        summary.message = problem.observations.empty() ? "There are no observations."
+                                                       : "Every parameter is constant.";
+        const reference::Cost cost = reference::residual(problem, nullptr);
+        summary.initial_cost = summary.final_cost = summary.reference_final_cost = cost.cost;
+        summary.num_behind_initial = summary.num_behind_final = cost.num_behind;
+        summary.num_singular = cost.num_singular;
+        IterationRow row;
+        row.step_is_accepted = row.step_is_valid = true;
+        row.cost = cost.cost;
+        row.num_behind = cost.num_behind;
+        summary.rows.push_back(row);
+        summary.total_seconds = watch.seconds();
+        return summary;
+    }
+    DeviceProblem& mirrored = mirror(problem, context, precision, device);
+    mirrored.queue().reset_step_seconds();
+    mirrored.queue().memory().reset_peak();
+    summary.setup_seconds = watch.seconds();
+    minimize(options, problem, mirrored, watch.seconds(), summary);
+    Stopwatch finish;
+    mirrored.download_state(problem);
+    summary.setup_seconds += finish.lap();
+    summary.reference_final_cost = reference::residual(problem, nullptr).cost;
+    summary.reference_seconds = finish.lap();
+    summary.peak_device_bytes = mirrored.queue().memory().peak_bytes;
+    summary.total_seconds = watch.seconds();
+    return summary;
+}
+
+}  // namespace clba

@@ -1,0 +1,296 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "reference/bundle.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <cmath>
+
+#include "reference/camera_models.hpp"
+#include "reference/loss.hpp"
+
+namespace clba::reference {
+namespace {
+
+using RowMajorMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using RowMajor2 = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
+using RowMajor23 = Eigen::Matrix<double, 2, 3, Eigen::RowMajor>;
+using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using VectorMap = Eigen::Map<Eigen::VectorXd>;
+using ConstVectorMap = Eigen::Map<const Eigen::VectorXd>;
+
+std::vector<RowMajor3> image_rotations(const Problem& problem) {
+    std::vector<RowMajor3> rotations;
+    rotations.reserve(problem.images.size());
+    for (const Image& image : problem.images)
+        rotations.emplace_back(
+            Eigen::Map<const RowMajor3>(rotation_matrix(image.pose.rotation).data()));
+    return rotations;
+}
+
+struct EvaluatedObservation {
+    Eigen::Vector3d p;  // the point in the camera's frame
+    Projection projection;
+    Eigen::Vector2d whitened;  // L^-1 (projection - observation)
+    Eigen::Matrix2d weight;    // sqrt(rho') L^-1
+    double sqrt_rho_derivative;
+};
+
+EvaluatedObservation evaluate(const Problem& problem, const std::vector<RowMajor3>& rotations,
+                              int64_t i) {
+    const Observation& observation = problem.observations[i];
+    const Image& image = problem.images[observation.image];
+    EvaluatedObservation e;
+    e.p = rotations[observation.image] *
+              Eigen::Map<const Eigen::Vector3d>(problem.points[observation.point].data()) +
+          Eigen::Map<const Eigen::Vector3d>(image.pose.translation.data());
+    e.projection = project(problem.cameras[image.camera], e.p);
+    Eigen::Matrix2d whitening = Eigen::Matrix2d::Identity();
+    if (!problem.whitening.empty()) {
+        const auto& factor = problem.whitening[i];
+        whitening << factor[0], 0, factor[1], factor[2];
+    }
+    e.whitened = whitening * (e.projection.pixel - Eigen::Vector2d(observation.x, observation.y));
+    e.sqrt_rho_derivative = std::sqrt(rho_derivative(problem.loss, e.whitened.squaredNorm()));
+    e.weight = e.sqrt_rho_derivative * whitening;
+    return e;
+}
+
+RowMajor3 cross_product_matrix(const Eigen::Vector3d& p) {
+    RowMajor3 matrix;
+    matrix << 0, -p.z(), p.y(), p.z(), 0, -p.x(), -p.y(), p.x(), 0;
+    return matrix;
+}
+
+Eigen::Map<const RowMajor2> image_block(const Jacobian& jacobian, int64_t i) {
+    return {jacobian.image_blocks.data() + i * 2 * jacobian.columns, 2, jacobian.columns};
+}
+
+Eigen::Map<const RowMajor23> point_block(const Jacobian& jacobian, int64_t i) {
+    return Eigen::Map<const RowMajor23>(jacobian.point_blocks.data() + i * 6);
+}
+
+RowMajor3 point_inverse(const std::vector<double>& point_factors, int32_t point) {
+    const Eigen::Map<const RowMajor3> g(point_factors.data() + 9 * int64_t{point});
+    return g.transpose() * g;
+}
+
+// The image side of one observation: J_F x, and x += J_F^T y.
+Eigen::Vector2d image_jx(const Problem& problem, const ParameterLayout& layout,
+                         const Jacobian& jacobian, int64_t i, const std::vector<double>& x) {
+    const int32_t image = jacobian.image[i], camera = problem.images[image].camera;
+    const int num_params = problem.cameras[camera].num_params();
+    const auto block = image_block(jacobian, i);
+    return block.leftCols(num_pose_params) *
+               ConstVectorMap(x.data() + layout.pose_offset[image], num_pose_params) +
+           block.middleCols(num_pose_params, num_params) *
+               ConstVectorMap(x.data() + layout.intrinsics_offset[camera], num_params);
+}
+
+void add_image_jty(const Problem& problem, const ParameterLayout& layout, const Jacobian& jacobian,
+                   int64_t i, const Eigen::Vector2d& y, std::vector<double>& x) {
+    const int32_t image = jacobian.image[i], camera = problem.images[image].camera;
+    const int num_params = problem.cameras[camera].num_params();
+    const auto block = image_block(jacobian, i);
+    VectorMap(x.data() + layout.pose_offset[image], num_pose_params) +=
+        block.leftCols(num_pose_params).transpose() * y;
+    VectorMap(x.data() + layout.intrinsics_offset[camera], num_params) +=
+        block.middleCols(num_pose_params, num_params).transpose() * y;
+}
+
+// Columns [first, first + size) of an image block belong to a block of the layout.
+struct BlockColumns {
+    int32_t block, first, size;
+};
+
+// Of each image: one entry if it owns its camera, else one for the pose and one for the intrinsics.
+std::vector<std::vector<BlockColumns>> block_columns(const Problem& problem,
+                                                     const ParameterLayout& layout) {
+    std::vector<std::vector<BlockColumns>> columns(problem.images.size());
+    std::vector<BlockColumns> of_camera(problem.cameras.size());
+    for (size_t b = 0; b < layout.blocks.size(); ++b) {
+        const ParameterBlock& block = layout.blocks[b];
+        if (block.image >= 0)
+            columns[block.image] = {{static_cast<int32_t>(b), 0, block.size}};
+        else
+            of_camera[block.camera] = {static_cast<int32_t>(b), num_pose_params, block.size};
+    }
+    for (size_t i = 0; i < columns.size(); ++i)
+        if (layout.blocks[columns[i].front().block].camera < 0)
+            columns[i].push_back(of_camera[problem.images[i].camera]);
+    return columns;
+}
+
+std::vector<std::vector<double>> zero_blocks(const ParameterLayout& layout) {
+    std::vector<std::vector<double>> blocks;
+    for (const ParameterBlock& block : layout.blocks)
+        blocks.emplace_back(static_cast<size_t>(block.size) * block.size, 0.0);
+    return blocks;
+}
+
+// blocks += the diagonal blocks of J_F^T m J_F for one observation.
+void add_image_blocks(const std::vector<BlockColumns>& columns,
+                      const Eigen::Map<const RowMajor2>& j, const Eigen::Matrix2d& m,
+                      std::vector<std::vector<double>>& blocks) {
+    for (const BlockColumns& part : columns) {
+        const auto j_part = j.middleCols(part.first, part.size);
+        Eigen::Map<RowMajorMatrix>(blocks[part.block].data(), part.size, part.size) +=
+            j_part.transpose() * m * j_part;
+    }
+}
+
+}  // namespace
+
+Cost residual(const Problem& problem, double* residuals) {
+    const auto rotations = image_rotations(problem);
+    Cost total;
+    for (int64_t i = 0; i < problem.num_observations(); ++i) {
+        const EvaluatedObservation e = evaluate(problem, rotations, i);
+        total.cost += 0.5 * rho(problem.loss, e.whitened.squaredNorm());
+        total.num_behind += e.projection.is_behind;
+        total.num_singular += e.projection.is_singular;
+        if (residuals)
+            Eigen::Map<Eigen::Vector2d>(residuals + 2 * i) = e.sqrt_rho_derivative * e.whitened;
+    }
+    return total;
+}
+
+Jacobian jacobian(const Problem& problem, const ParameterLayout& layout) {
+    const auto rotations = image_rotations(problem);
+    const auto num_observations = problem.observations.size();
+    Jacobian result;
+    result.columns = layout.max_image_columns;
+    result.image_blocks.assign(num_observations * 2 * result.columns, 0.0);
+    result.point_blocks.assign(num_observations * 6, 0.0);
+    for (int64_t i = 0; i < problem.num_observations(); ++i) {
+        const Observation& observation = problem.observations[i];
+        const int32_t camera = problem.images[observation.image].camera;
+        const int num_params = problem.cameras[camera].num_params();
+        result.image.push_back(observation.image);
+        result.point.push_back(observation.point);
+
+        const EvaluatedObservation e = evaluate(problem, rotations, i);
+        const auto derivatives = projection_derivatives(problem.cameras[camera], e.p);
+        const RowMajor23 a = e.weight * derivatives.point;
+        Eigen::Map<RowMajor2> j_image(result.image_blocks.data() + i * 2 * result.columns, 2,
+                                      result.columns);
+        Eigen::Map<RowMajor23> j_point(result.point_blocks.data() + i * 6);
+        // P moves to exp(w) P + v, so that d P / d w = -[P]_x and d P / d v = I.
+        j_image.leftCols<3>() = -a * cross_product_matrix(e.p);
+        j_image.middleCols<3>(3) = a;
+        j_image.middleCols(num_pose_params, num_params) =
+            e.weight * derivatives.params.leftCols(num_params);
+        j_point = a * rotations[observation.image];
+
+        for (int k = 0; k < num_pose_params; ++k)
+            if (layout.scale[layout.pose_offset[observation.image] + k] == 0)
+                j_image.col(k).setZero();
+        for (int k = 0; k < num_params; ++k)
+            if (layout.scale[layout.intrinsics_offset[camera] + k] == 0)
+                j_image.col(num_pose_params + k).setZero();
+        const auto scale = point_scale(problem, observation.point);
+        for (int k = 0; k < 3; ++k)
+            if (scale[k] == 0) j_point.col(k).setZero();
+    }
+    return result;
+}
+
+std::vector<double> jx(const Problem& problem, const ParameterLayout& layout,
+                       const Jacobian& jacobian, const std::vector<double>& x) {
+    std::vector<double> y(2 * jacobian.image.size());
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i) {
+        const Eigen::Map<const Eigen::Vector3d> x_point(x.data() + layout.num_f +
+                                                        3 * int64_t{jacobian.point[i]});
+        Eigen::Map<Eigen::Vector2d>(y.data() + 2 * i) =
+            image_jx(problem, layout, jacobian, i, x) + point_block(jacobian, i) * x_point;
+    }
+    return y;
+}
+
+std::vector<double> jty(const Problem& problem, const ParameterLayout& layout,
+                        const Jacobian& jacobian, const std::vector<double>& y) {
+    std::vector<double> x(static_cast<size_t>(layout.num_parameters(problem)), 0.0);
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i) {
+        const Eigen::Map<const Eigen::Vector2d> y_i(y.data() + 2 * i);
+        add_image_jty(problem, layout, jacobian, i, y_i, x);
+        Eigen::Map<Eigen::Vector3d>(x.data() + layout.num_f + 3 * int64_t{jacobian.point[i]}) +=
+            point_block(jacobian, i).transpose() * y_i;
+    }
+    return x;
+}
+
+NormalBlocks normal_blocks(const Problem& problem, const ParameterLayout& layout,
+                           const Jacobian& jacobian) {
+    const auto columns = block_columns(problem, layout);
+    NormalBlocks blocks{zero_blocks(layout), std::vector<double>(9 * problem.points.size(), 0.0)};
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i) {
+        add_image_blocks(columns[jacobian.image[i]], image_block(jacobian, i),
+                         Eigen::Matrix2d::Identity(), blocks.u);
+        const auto j_point = point_block(jacobian, i);
+        Eigen::Map<RowMajor3>(blocks.v.data() + 9 * int64_t{jacobian.point[i]}) +=
+            j_point.transpose() * j_point;
+    }
+    return blocks;
+}
+
+bool inverse_factor(int n, const double* a, const double* scale, double* g) {
+    const Eigen::Map<const RowMajorMatrix> full(a, n, n);
+    Eigen::Map<RowMajorMatrix> factor(g, n, n);
+    factor.setZero();
+    std::vector<int> free;
+    for (int k = 0; k < n; ++k)
+        if (!scale || scale[k] != 0) free.push_back(k);
+    const auto num_free = static_cast<int>(free.size());
+    Eigen::MatrixXd reduced(num_free, num_free);
+    for (int row = 0; row < num_free; ++row)
+        for (int column = 0; column < num_free; ++column)
+            reduced(row, column) = full(free[row], free[column]);
+    if (!reduced.allFinite()) return false;
+    const Eigen::LLT<Eigen::MatrixXd> cholesky(reduced);
+    if (cholesky.info() != Eigen::Success) return false;
+    const Eigen::MatrixXd inverse =
+        cholesky.matrixL().solve(Eigen::MatrixXd::Identity(num_free, num_free));
+    if (!inverse.allFinite()) return false;
+    for (int row = 0; row < num_free; ++row)
+        for (int column = 0; column <= row; ++column)
+            factor(free[row], free[column]) = inverse(row, column);
+    return true;
+}
+
+std::vector<double> schur_product(const Problem& problem, const ParameterLayout& layout,
+                                  const Jacobian& jacobian,
+                                  const std::vector<double>& point_factors,
+                                  const std::vector<double>& damping_f,
+                                  const std::vector<double>& x) {
+    std::vector<Eigen::Vector2d> j_x(jacobian.image.size());
+    std::vector<Eigen::Vector3d> points(problem.points.size(), Eigen::Vector3d::Zero());
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i) {
+        j_x[i] = image_jx(problem, layout, jacobian, i, x);
+        points[jacobian.point[i]] += point_block(jacobian, i).transpose() * j_x[i];
+    }
+    for (int32_t p = 0; p < problem.num_points(); ++p)
+        points[p] = point_inverse(point_factors, p) * points[p];
+    std::vector<double> result(static_cast<size_t>(layout.num_f));
+    for (size_t k = 0; k < result.size(); ++k) result[k] = damping_f[k] * x[k];
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i)
+        add_image_jty(problem, layout, jacobian, i,
+                      j_x[i] - point_block(jacobian, i) * points[jacobian.point[i]], result);
+    return result;
+}
+
+std::vector<std::vector<double>> schur_diagonal_blocks(const Problem& problem,
+                                                       const ParameterLayout& layout,
+                                                       const Jacobian& jacobian,
+                                                       const std::vector<double>& point_factors) {
+    const auto columns = block_columns(problem, layout);
+    auto blocks = zero_blocks(layout);
+    for (int64_t i = 0; i < jacobian.num_observations(); ++i) {
+        const auto j_point = point_block(jacobian, i);
+        const Eigen::Matrix2d m =
+            Eigen::Matrix2d::Identity() -
+            j_point * point_inverse(point_factors, jacobian.point[i]) * j_point.transpose();
+        add_image_blocks(columns[jacobian.image[i]], image_block(jacobian, i), m, blocks);
+    }
+    return blocks;
+}
+
+}  // namespace clba::reference

@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clba command: what it prints and writes, its exit codes, and that bad input leaves nothing."""
+import gzip
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+import unittest
+
+CLBA = pathlib.Path(sys.argv[1]).resolve()
+DATA = pathlib.Path(os.environ.get("CLBA_TEST_DATA", ""))
+USAGE, FILE, NO_DEVICE, INTERRUPTED = 2, 4, 5, 130
+# Tolerances that let two solvers meet in all digits that are compared.
+CONVERGED = ["--function-tolerance", "1e-14", "--max-iterations", "200"]
+
+# Two images, one point, two observations.
+SMALL = """2 1 2
+0 0 1.0 2.0
+1 0 -1.0 2.0
+0 0 0 0 0 -5 500 0 0
+0 0.1 0 0 0 -5 500 0 0
+0.1 0.2 0.3
+"""
+
+
+class CliTest(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = pathlib.Path(folder.name)
+
+    def clba(self, *arguments, exit_code=0, **environment):
+        done = subprocess.run([CLBA, *map(str, arguments)], cwd=self.folder, text=True,
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                              env={**os.environ, **environment})
+        self.assertEqual(done.returncode, exit_code, done.stdout + done.stderr)
+        return done
+
+    def refused(self, exit_code, *arguments, mentions=""):
+        """An error is one line that names what is wrong, and no file appears."""
+        before = sorted(self.folder.iterdir())
+        error = self.clba(*arguments, exit_code=exit_code).stderr
+        self.assertRegex(error, r"\Aclba: error: [^\n]+\n\Z")
+        self.assertIn(mentions, error)
+        self.assertEqual(sorted(self.folder.iterdir()), before)
+
+    def write(self, text, name="problem.txt"):
+        (self.folder / name).write_text(text, encoding="utf-8")
+        return name
+
+    def scene(self, *options, kind="hall", images=12, per_image=80, seed=7, name="scene.txt"):
+        self.clba("generate", kind, "-o", name, "--images", images,
+                  "--observations-per-image", per_image, "--seed", seed, *options)
+        return name
+
+    def summary(self, name="summary.json"):
+        return json.loads((self.folder / name).read_text(encoding="utf-8"))
+
+    def solve(self, file, *options):
+        self.clba("solve", file, "--json", "summary.json", "--quiet", *options)
+        return self.summary()
+
+
+class Usage(CliTest):
+    def test_help_documents_exit_codes(self):
+        self.assertIn("Exit codes", self.clba("--help").stdout)
+        self.assertIn("Exit codes", self.clba("solve", "--help").stdout)
+
+    def test_version(self):
+        self.assertRegex(self.clba("--version").stdout, r"^clba \d+\.\d+\.\d+\n$")
+
+    def test_bad_arguments(self):
+        for arguments in ([], ["paint"], ["solve"], ["solve", "--colour", "x"],
+                          ["generate", "castle", "-o", "x"], ["generate", "hall"],
+                          ["solve", "x", "--linear-solver", "magic"],
+                          ["solve", "x", "--max-iterations", "-1"],
+                          ["solve", "x", "--max-iterations", "many"],
+                          ["solve", "x", "--loss-scale", "0"],
+                          ["solve", "x", "--loss-scale", "inf"],
+                          ["solve", "x", "--time-limit", "nan"]):
+            with self.subTest(arguments):
+                self.clba(*arguments, exit_code=USAGE)
+
+    def test_values_that_the_library_refuses(self):
+        file = self.scene()
+        self.refused(USAGE, "solve", file, "--eta", "1.5", "-o", "out.txt")
+        self.refused(USAGE, "generate", "hall", "--images", "1", "-o", "out.txt")
+        self.refused(USAGE, "generate", "hall", "--noise", "nan", "-o", "out.txt")
+
+    def test_two_outputs_of_one_name(self):
+        file = self.scene()
+        self.refused(USAGE, "solve", file, "-o", "x", "--ply", "./x", mentions="x")
+
+
+class Devices(CliTest):
+    def test_list(self):
+        self.assertRegex(self.clba("devices").stdout, r"(?m)^0: .+\n   platform")
+
+    def test_no_such_device(self):
+        file = self.scene()
+        for device in ("no such device", "999"):
+            self.refused(NO_DEVICE, "solve", file, "--device", device, "-o", "out.txt",
+                         mentions=device)
+
+    def test_no_driver(self):
+        self.clba("devices", exit_code=NO_DEVICE, OCL_ICD_VENDORS=str(self.folder))
+
+
+class Info(CliTest):
+    def test_counts(self):
+        text = self.clba("info", self.write(SMALL)).stdout
+        self.assertRegex(text, r"(?m)^images +2$")
+        self.assertRegex(text, r"(?m)^points +1$")
+        self.assertRegex(text, r"(?m)^observations +2$")
+        self.assertRegex(text, r"(?m)^observations per point +min 2, median 2, mean 2.00, max 2;")
+
+    def test_bad_files(self):
+        lines = SMALL.splitlines(keepends=True)
+        bad = {
+            "empty": "",
+            "garbage": "\x01\x02 not a problem",
+            "cut off": "".join(lines[:-1]),
+            "cut in a line": SMALL[:60],
+            "negative count": SMALL.replace("2 1 2", "-2 1 2", 1),
+            "counts that overflow": SMALL.replace("2 1 2", "2 1 99999999999999999999", 1),
+            "counts beyond the file": SMALL.replace("2 1 2", "2147483647 2147483647 9e18", 1),
+            "image out of range": SMALL.replace("1 0 -1.0", "2 0 -1.0", 1),
+            "point out of range": SMALL.replace("1 0 -1.0", "1 1 -1.0", 1),
+            "negative index": SMALL.replace("1 0 -1.0", "-1 0 -1.0", 1),
+            "not a number": SMALL.replace("-1.0 2.0", "nan 2.0", 1),
+            "infinite": SMALL.replace("-1.0 2.0", "inf 2.0", 1),
+            "word": SMALL.replace("-1.0 2.0", "one 2.0", 1),
+        }
+        for what, text in bad.items():
+            with self.subTest(what):
+                file = self.write(text)
+                self.refused(FILE, "info", file, mentions=file)
+                self.refused(FILE, "solve", file, "-o", "out.txt", "--json", "out.json",
+                             mentions=file)
+
+    def test_no_such_file(self):
+        self.refused(FILE, "info", "absent.txt", mentions="absent.txt")
+        self.refused(FILE, "solve", "absent.txt", "-o", "out.txt", mentions="absent.txt")
+
+    def test_folder(self):
+        (self.folder / "sub").mkdir()
+        self.refused(FILE, "info", "sub", mentions="sub")
+
+
+class Generate(CliTest):
+    def read(self, name):
+        return (self.folder / name).read_bytes()
+
+    def test_kinds(self):
+        for kind in ("hall", "street", "landmark"):
+            with self.subTest(kind):
+                self.assertRegex(self.clba("info", self.scene(kind=kind)).stdout, r"images +12\n")
+
+    def test_equal_seeds_give_equal_files(self):
+        first, again = self.scene(name="a.txt"), self.scene(name="b.txt")
+        other = self.scene(seed=8, name="c.txt")
+        self.assertEqual(self.read(first), self.read(again))
+        self.assertNotEqual(self.read(first), self.read(other))
+
+    def test_compression_by_name(self):
+        plain, packed = self.scene(name="a.txt"), self.scene(name="a.txt.gz")
+        self.assertEqual(gzip.decompress(self.read(packed)), self.read(plain))
+        self.assertTrue(self.read(self.scene(name="a.txt.bz2")).startswith(b"BZh"))
+
+    def test_truth_fits_better_than_the_start(self):
+        start = self.scene("--truth", "truth.txt")
+        costs = [self.solve(file, "--max-iterations", 0)["initial_cost"]
+                 for file in (start, "truth.txt")]
+        self.assertGreater(costs[0], 10 * costs[1])
+
+    def test_folder_that_does_not_exist(self):
+        self.refused(FILE, "generate", "hall", "-o", "absent/scene.txt", mentions="absent")
+        self.refused(FILE, "generate", "hall", "-o", "x.txt", "--truth", "absent/t.txt",
+                     mentions="absent")
+
+
+class Solve(CliTest):
+    def test_log_report_and_outputs(self):
+        file = self.scene()
+        text = self.clba("solve", file, "-o", "out.txt.gz", "--ply", "out.ply",
+                         "--json", "summary.json").stdout
+        self.assertRegex(text, r"^iter +cost +cost_change +\|gradient\| +\|step\| +tr_ratio +"
+                               r"tr_radius +ls_iter +iter_time +total_time\n")
+        summary = self.summary()
+        self.assertRegex(text, r"(?m)^ *%d +\d\.\d{6}e" % summary["num_iterations"])
+        self.assertIn("Termination", text)
+        self.assertTrue((self.folder / "out.ply").read_bytes().startswith(b"ply\n"))
+        again = self.solve("out.txt.gz", "--max-iterations", 0)
+        # The file holds every digit of the state that was measured.
+        self.assertAlmostEqual(again["initial_cost"] / summary["final_cost"], 1, delta=1e-9)
+        self.assertEqual(sorted(path.name for path in self.folder.iterdir()),
+                         ["out.ply", "out.txt.gz", "scene.txt", "summary.json"])
+
+    def test_json(self):
+        file = self.scene()
+        summary = self.solve(file)
+        for field in ("file", "device", "images", "points", "observations", "initial_cost",
+                      "final_cost", "reference_final_cost", "termination", "linear_solver",
+                      "preconditioner", "precision", "num_iterations", "solve_seconds",
+                      "total_seconds", "peak_device_bytes", "iterations"):
+            self.assertIn(field, summary)
+        self.assertEqual((summary["file"], summary["images"]), (file, 12))
+        self.assertEqual(summary["termination"], "convergence")
+        rows = summary["iterations"]
+        self.assertEqual([row["iteration"] for row in rows], list(range(len(rows))))
+        self.assertEqual(len(rows), summary["num_iterations"] + 1)
+        self.assertEqual(rows[-1]["cost"], summary["final_cost"])
+        for before, row in zip(rows, rows[1:]):
+            self.assertLessEqual(row["cost"], before["cost"])
+            self.assertGreaterEqual(row["seconds"], before["seconds"])
+            for field in ("linear_solver_iterations", "accepted"):
+                self.assertIn(field, row)
+        self.assertAlmostEqual(summary["reference_final_cost"] / summary["final_cost"], 1,
+                               delta=1e-10)
+
+    def test_quiet(self):
+        done = self.clba("solve", self.scene(), "--quiet")
+        self.assertEqual(done.stdout + done.stderr, "")
+
+    def test_solvers_agree(self):
+        file = self.scene()
+        costs = {}
+        for solver in (["pcg_schur", "--preconditioner", "schur_jacobi"],
+                       ["pcg_schur", "--preconditioner", "block_jacobi"],
+                       ["pcg_hessian"], ["direct_schur"]):
+            for precision in ("double", "mixed"):
+                summary = self.solve(file, "--linear-solver", *solver, "--precision", precision,
+                                     *CONVERGED)
+                self.assertEqual(summary["linear_solver"], solver[0])
+                self.assertEqual(summary["precision"], precision)
+                costs[" ".join(solver), precision] = summary["reference_final_cost"]
+        reference = costs["direct_schur", "double"]
+        for how, cost in costs.items():
+            self.assertAlmostEqual(cost / reference, 1, delta=1e-7, msg=str(how))
+
+    def test_verify(self):
+        text = self.clba("solve", self.scene(), "--json", "summary.json", "--verify",
+                         *CONVERGED).stdout
+        self.assertIn("relative difference", text)
+        verify = self.summary()["verify"]
+        self.assertLess(abs(verify["relative_cost_difference"]), 1e-7)
+        self.assertLess(verify["max_center_distance"], 1e-2 * verify["extent"])
+
+    def test_verify_starts_from_the_file_that_the_output_replaces(self):
+        file = self.scene()
+        self.clba("solve", file, "-o", file, "--json", "summary.json", "--verify")
+        self.assertGreater(self.summary()["verify"]["num_iterations"], 1)
+
+    def test_equal_bits_twice(self):
+        file = self.scene()
+        for name in ("a.txt", "b.txt"):
+            self.clba("solve", file, "-o", name, "--quiet")
+        self.assertEqual((self.folder / "a.txt").read_bytes(),
+                         (self.folder / "b.txt").read_bytes())
+
+    def test_limits_keep_the_best_state(self):
+        file = self.scene()
+        summary = self.solve(file, "--max-iterations", 1)
+        self.assertEqual((summary["termination"], summary["num_iterations"]), ("no_convergence", 1))
+        self.assertLess(summary["final_cost"], summary["initial_cost"])
+        summary = self.solve(file, "--time-limit", "1e-9")
+        self.assertEqual(summary["reason"], "max_seconds")
+
+    def test_loss_resists_outliers(self):
+        file = self.scene("--outliers", "0.05", "--truth", "truth.txt")
+        options = ["--loss", "cauchy", "--loss-scale", 2]
+        summary = self.solve(file, *options, *CONVERGED)
+        truth = self.solve("truth.txt", *options, "--max-iterations", 0)
+        self.assertEqual((summary["loss"], summary["loss_scale"]), ("cauchy", 2))
+        self.assertLess(summary["final_cost"], truth["initial_cost"])
+
+    def test_no_observations(self):
+        file = self.write("1 1 0\n0 0 0 0 0 -5 500 0 0\n1 2 3\n")
+        self.refused(FILE, "solve", file, "-o", "out.txt", mentions="observations")
+
+    def test_output_folder_that_does_not_exist(self):
+        file = self.scene()
+        for option in ("-o", "--ply", "--json"):
+            self.refused(FILE, "solve", file, option, "absent/out", mentions="absent")
+            self.refused(FILE, "solve", file, option, ".", mentions="folder")
+
+    def test_ctrl_c_keeps_the_best_state(self):
+        file = self.scene(images=150, per_image=400)
+        command = [CLBA, "solve", file, "-o", "out.txt", "--json", "summary.json", "--verify",
+                   "--max-iterations", "100000", "--function-tolerance", "1e-300",
+                   "--gradient-tolerance", "1e-300", "--parameter-tolerance", "1e-300"]
+        with subprocess.Popen(command, cwd=self.folder, text=True, stdout=subprocess.PIPE,
+                              stderr=subprocess.PIPE) as process:
+            self.assertTrue(process.stdout.readline().startswith("iter"))
+            self.assertIn("0 ", process.stdout.readline())
+            process.send_signal(signal.SIGINT)
+            process.communicate()
+        self.assertEqual(process.returncode, INTERRUPTED)
+        summary = self.summary()
+        self.assertEqual(summary["termination"], "user_stop")
+        self.assertNotIn("verify", summary)
+        self.assertIn("images", self.clba("info", "out.txt").stdout)
+
+    @unittest.skipUnless((DATA / "bal").is_dir(), "no real problems in CLBA_TEST_DATA")
+    def test_dubrovnik_16(self):
+        summary = self.solve(DATA / "bal/problem-16-22106-pre.txt.bz2")
+        self.assertEqual((summary["images"], summary["points"], summary["observations"]),
+                         (16, 22106, 83718))
+        self.assertAlmostEqual(summary["initial_cost"] / 4185659.51825, 1, delta=1e-11)
+        self.assertLess(summary["reference_final_cost"], 18033.9034788 * (1 + 1e-3))
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1], verbosity=2)
