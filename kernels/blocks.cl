@@ -82,9 +82,11 @@ kernel void schur_weights(global const int* restrict tile_points,
 }
 
 // Sums of J_F^T M J_F over each run, with M = I where weights is NULL: TRIANGLE doubles a run, the
-// lower triangle row by row. Row by row of the block, so that the sums stay in registers while the
-// run's Jacobian stays in the cache.
+// lower triangle row by row. A pass over the run for each 3 x 3 part, so that its sums stay in
+// registers while the run's Jacobian stays in the cache.
 // Writers: group t alone writes the sums of its runs.
+#define PART 3
+#define NUM_PARTS ((COLUMNS + PART - 1) / PART)
 kernel void image_blocks(global const int* restrict tile_runs,
                          global const int* restrict run_slots,
                          global const REAL* restrict blocks, global const REAL* restrict weights,
@@ -95,34 +97,61 @@ kernel void image_blocks(global const int* restrict tile_runs,
         const int n = run_slots[run + 1] - first;
         global const REAL* top = blocks + ROWS * (long)first;
         global const REAL* bottom = top + COLUMNS * n;
-        global const REAL* m = weights + 3 * (long)first;
+        global const REAL* m = weights ? weights + 3 * (long)first : 0;
         global double* out = run_blocks + TRIANGLE * (long)run;
+        for (int part = 0; part < NUM_PARTS * NUM_PARTS; ++part) {
+            const int row = part / NUM_PARTS * PART, column = part % NUM_PARTS * PART;
+            if (column > row) continue;
+            // Rows of the Jacobian for the part's rows and columns; past the last one, the last.
+            int at_row[PART], at_column[PART];
 #pragma unroll
-        for (int row = 0; row < COLUMNS; ++row) {
-            double sum[COLUMNS];
+            for (int k = 0; k < PART; ++k) {
+                at_row[k] = min(row + k, COLUMNS - 1) * n;
+                at_column[k] = min(column + k, COLUMNS - 1) * n;
+            }
+            double sum[PART * PART];
 #pragma unroll
-            for (int k = 0; k <= row; ++k) sum[k] = 0;
-            if (weights) {
+            for (int k = 0; k < PART * PART; ++k) sum[k] = 0;
+            if (m) {
                 LANES(l, 0, n) {
-                    const double j0 = top[row * n + l], j1 = bottom[row * n + l];
-                    const double a0 = m[l] * j0 + m[n + l] * j1;
-                    const double a1 = m[n + l] * j0 + m[2 * n + l] * j1;
+                    const double m00 = m[l], m10 = m[n + l], m11 = m[2 * n + l];
+                    double a[PART], b[PART];
 #pragma unroll
-                    for (int k = 0; k <= row; ++k)
-                        sum[k] += a0 * top[k * n + l] + a1 * bottom[k * n + l];
+                    for (int k = 0; k < PART; ++k) {
+                        const double j0 = top[at_row[k] + l], j1 = bottom[at_row[k] + l];
+                        a[k] = m00 * j0 + m10 * j1;
+                        b[k] = m10 * j0 + m11 * j1;
+                    }
+#pragma unroll
+                    for (int k = 0; k < PART; ++k) {
+                        const double j0 = top[at_column[k] + l], j1 = bottom[at_column[k] + l];
+                        sum[k] += a[0] * j0 + b[0] * j1;
+                        sum[PART + k] += a[1] * j0 + b[1] * j1;
+                        sum[2 * PART + k] += a[2] * j0 + b[2] * j1;
+                    }
                 }
             } else {
                 LANES(l, 0, n) {
-                    const double a0 = top[row * n + l], a1 = bottom[row * n + l];
+                    double a[PART], b[PART];
 #pragma unroll
-                    for (int k = 0; k <= row; ++k)
-                        sum[k] += a0 * top[k * n + l] + a1 * bottom[k * n + l];
+                    for (int k = 0; k < PART; ++k) {
+                        a[k] = top[at_row[k] + l];
+                        b[k] = bottom[at_row[k] + l];
+                    }
+#pragma unroll
+                    for (int k = 0; k < PART; ++k) {
+                        const double j0 = top[at_column[k] + l], j1 = bottom[at_column[k] + l];
+                        sum[k] += a[0] * j0 + b[0] * j1;
+                        sum[PART + k] += a[1] * j0 + b[1] * j1;
+                        sum[2 * PART + k] += a[2] * j0 + b[2] * j1;
+                    }
                 }
             }
 #pragma unroll
-            for (int k = 0; k <= row; ++k) {
+            for (int k = 0; k < PART * PART; ++k) {
                 const double total = GROUP_SUM(sum[k], scratch);
-                if (IS_FIRST_LANE) out[row * (row + 1) / 2 + k] = total;
+                const int i = row + k / PART, j = column + k % PART;
+                if (IS_FIRST_LANE && i < COLUMNS && j <= i) out[i * (i + 1) / 2 + j] = total;
             }
         }
     }

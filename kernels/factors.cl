@@ -14,7 +14,7 @@
 //   policy 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
 //   policy 2, levenberg    (s / c)^2 with s = 1 + sqrt(d_0), d_0 = diag(J^T J)_i at the start
 //   policy 3, uncertainty  1 / c^2
-inline double damping(int policy, double c, double d, double d_0, double smallest,
+static inline double damping(int policy, double c, double d, double d_0, double smallest,
                       double largest) {
     const double c2 = c * c;
     const double s = 1 + sqrt(d_0);
@@ -82,12 +82,8 @@ kernel void factor_image_blocks(double lambda, int num_blocks,
                                 global double* restrict factors,
                                 global int* restrict failures) {
     int failed = 0;
-    const int share_of_group = share_end(num_blocks);
-#if LANE_LOOP
-    for (int block = share_begin(num_blocks); block < share_of_group; ++block) {
-#else
-    LANES(block, share_begin(num_blocks), share_of_group) {
-#endif
+    const int end = share_end(num_blocks);
+    LANES_UNVECTORIZED(block, share_begin(num_blocks), end) {
         const int size = block_size[block], offset = block_offset[block];
         global const double* in = matrices + matrix_offset[block];
         global double* out = factors + matrix_offset[block];
@@ -190,11 +186,7 @@ kernel void apply_image_factors(int num_blocks, global const int* restrict block
                                 global const double* restrict factors,
                                 global const double* restrict r, global double* restrict z) {
     const int end = share_end(num_blocks);
-#if LANE_LOOP
-    for (int block = share_begin(num_blocks); block < end; ++block) {
-#else
-    LANES(block, share_begin(num_blocks), end) {
-#endif
+    LANES_UNVECTORIZED(block, share_begin(num_blocks), end) {
         const int size = block_size[block], offset = block_offset[block];
         global const double* g = factors + matrix_offset[block];
         double b[MAX_BLOCK];

@@ -15,7 +15,7 @@ typedef struct {
     REAL x[COLUMNS];
 } image_part_t;
 
-inline image_part_t load_image_part(global const double* x, int pose_offset,
+static inline image_part_t load_image_part(global const double* x, int pose_offset,
                                     int intrinsics_offset) {
     image_part_t part;
 #pragma unroll
@@ -26,7 +26,7 @@ inline image_part_t load_image_part(global const double* x, int pose_offset,
 }
 
 // J_F x of one lane.
-inline void image_product(global const REAL* blocks, int n, int l, const image_part_t* part,
+static inline void image_product(global const REAL* blocks, int n, int l, const image_part_t* part,
                           REAL* y0, REAL* y1) {
     REAL sum0 = 0, sum1 = 0;
 #pragma unroll

@@ -25,7 +25,7 @@ kernel void reduce_runs(global const int* restrict block_offset,
     const int offset = block_offset[block], size = block_size[block];
     const int column = block_column[block];
     const int begin = block_runs[block], end = block_runs[block + 1];
-    LANES(k, 0, size) {
+    LANES_UNVECTORIZED(k, 0, size) {
         double sum = y[offset + k];
         for (int i = begin; i < end; ++i) sum += run_sums[COLUMNS * runs[i] + column + k];
         y[offset + k] = sum;
@@ -48,7 +48,7 @@ kernel void reduce_run_blocks(global const int* restrict block_size,
     for (int row = 0; row < size; ++row) {
         const int from = (column + row) * (column + row + 1) / 2 + column;
         const int to = row * (row + 1) / 2;
-        LANES(k, 0, row + 1) {
+        LANES_UNVECTORIZED(k, 0, row + 1) {
             double sum = out[to + k];
             for (int i = begin; i < end; ++i)
                 sum += run_blocks[(long)TRIANGLE * runs[i] + from + k];

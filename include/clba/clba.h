@@ -40,13 +40,13 @@ enum {
     CLBA_OK = 0,
     CLBA_ERROR_INVALID_ARGUMENT = -1, /* a rule stated in this header was broken */
     CLBA_ERROR_OUT_OF_MEMORY = -2,    /* on the host or on the device */
-    CLBA_ERROR_NO_DEVICE = -3,        /* no OpenCL, none matches, or none has the precision asked for */
-    CLBA_ERROR_KERNEL_BUILD = -4,     /* clba_last_error() holds the compiler's log */
-    CLBA_ERROR_DEVICE = -5,           /* any other OpenCL error; release the problem and the context */
-    CLBA_ERROR_INTERNAL = -6,         /* a bug in this library */
-    CLBA_ERROR_FILE = -7,             /* a file cannot be opened, read or written */
-    CLBA_ERROR_FORMAT = -8,           /* a file's content breaks a rule of its format */
-    CLBA_ERROR_NO_PLUGIN = -9         /* direct_schur needs the plug-in library clba_cholmod */
+    CLBA_ERROR_NO_DEVICE = -3,    /* no OpenCL, none matches, or none has the precision asked for */
+    CLBA_ERROR_KERNEL_BUILD = -4, /* clba_last_error() holds the compiler's log */
+    CLBA_ERROR_DEVICE = -5,       /* any other OpenCL error; release the problem and the context */
+    CLBA_ERROR_INTERNAL = -6,     /* a bug in this library */
+    CLBA_ERROR_FILE = -7,         /* a file cannot be opened, read or written */
+    CLBA_ERROR_FORMAT = -8,       /* a file's content breaks a rule of its format */
+    CLBA_ERROR_NO_PLUGIN = -9     /* direct_schur needs the plug-in library clba_cholmod */
 };
 
 CLBA_API uint32_t clba_version(void);                        /* of the library loaded */
@@ -55,13 +55,18 @@ CLBA_API const char* clba_last_error(void); /* valid until this thread's next cl
 
 /* ---- Devices and contexts -------------------------------------------------------------------- */
 
-enum { CLBA_DEVICE_CPU = 1, CLBA_DEVICE_GPU = 2, CLBA_DEVICE_ACCELERATOR = 3, CLBA_DEVICE_OTHER = 4 };
+enum {
+    CLBA_DEVICE_CPU = 1,
+    CLBA_DEVICE_GPU = 2,
+    CLBA_DEVICE_ACCELERATOR = 3,
+    CLBA_DEVICE_OTHER = 4
+};
 
 typedef struct clba_device_info {
     uint32_t struct_size;
-    int32_t index;         /* position in the list of all devices of all platforms */
-    int32_t type;          /* CLBA_DEVICE_CPU, ... */
-    int32_t has_double;    /* 1: fp64 in kernels, which every precision of this version needs */
+    int32_t index;      /* position in the list of all devices of all platforms */
+    int32_t type;       /* CLBA_DEVICE_CPU, ... */
+    int32_t has_double; /* 1: fp64 in kernels, which every precision of this version needs */
     int32_t compute_units;
     int32_t has_unified_memory; /* 1: shares its memory with the host; transfers are mappings */
     uint64_t global_memory_bytes;
@@ -82,10 +87,10 @@ CLBA_API clba_status clba_get_device(int32_t index, clba_device_info* info);
 
 typedef struct clba_context_options {
     uint32_t struct_size;
-    int32_t device_index; /* >= 0: that device; -1: see `device` */
-    const char* device;   /* an index, or a part of the platform's or device's name, any case;
-                             NULL: environment CLBA_DEVICE, and if that is unset the best device:
-                             GPUs before CPUs, fp64 before not, then compute units */
+    int32_t device_index;  /* >= 0: that device; -1: see `device` */
+    const char* device;    /* an index, or a part of the platform's or device's name, any case;
+                              NULL: environment CLBA_DEVICE, and if that is unset the best device:
+                              GPUs before CPUs, fp64 before not, then compute units */
     const char* cache_dir; /* compiled kernels are kept here; "" keeps none; NULL: environment
                               CLBA_CACHE_DIR, and if that is unset $XDG_CACHE_HOME/clba or
                               $HOME/.cache/clba */
@@ -99,7 +104,8 @@ typedef struct clba_context_options {
 
 CLBA_API clba_status clba_context_options_init(clba_context_options* options, size_t struct_size);
 /* options NULL: defaults. */
-CLBA_API clba_status clba_context_create(const clba_context_options* options, clba_context** context);
+CLBA_API clba_status clba_context_create(const clba_context_options* options,
+                                         clba_context** context);
 CLBA_API clba_status clba_context_retain(clba_context* context);
 /* Drops the caller's reference; NULL is allowed. Handles may be released in any order. */
 CLBA_API void clba_context_release(clba_context* context);
@@ -126,9 +132,10 @@ enum {
     CLBA_CAMERA_OPENCV = 5
 };
 CLBA_API int32_t clba_num_camera_models(void);
-CLBA_API const char* clba_camera_model_name(int32_t model);        /* NULL: no such model */
-CLBA_API int32_t clba_camera_model_num_params(int32_t model);      /* -1: no such model */
-CLBA_API const char* clba_camera_model_param_names(int32_t model); /* "f,k1,k2"; NULL: no such model */
+CLBA_API const char* clba_camera_model_name(int32_t model);   /* NULL: no such model */
+CLBA_API int32_t clba_camera_model_num_params(int32_t model); /* -1: no such model */
+CLBA_API const char* clba_camera_model_param_names(
+    int32_t model); /* "f,k1,k2"; NULL: no such model */
 
 /* ---- Problems -------------------------------------------------------------------------------- */
 
@@ -142,7 +149,7 @@ typedef struct clba_problem_info {
     int32_t num_images;
     int32_t num_points;
     int64_t num_observations;
-    int64_t num_parameters;             /* tangent dimension, constants included */
+    int64_t num_parameters;              /* tangent dimension, constants included */
     int64_t num_image_camera_parameters; /* of these, poses and intrinsics; points are the rest */
     int32_t num_parameters_per_image_block; /* C: 6 + most intrinsics of any camera in use */
     int32_t num_shared_cameras;             /* cameras that more than one image uses */
@@ -245,7 +252,7 @@ enum {
     CLBA_LINEAR_SOLVER_DIRECT_SCHUR = 3 /* sparse Cholesky on the host; plug-in clba_cholmod */
 };
 enum {
-    CLBA_PRECONDITIONER_DEFAULT = 0,      /* schur_jacobi for pcg_schur, block_jacobi for pcg_hessian */
+    CLBA_PRECONDITIONER_DEFAULT = 0, /* schur_jacobi for pcg_schur, block_jacobi for pcg_hessian */
     CLBA_PRECONDITIONER_BLOCK_JACOBI = 1, /* inverse diagonal blocks of the damped Hessian */
     CLBA_PRECONDITIONER_SCHUR_JACOBI = 2  /* inverse diagonal blocks of S; pcg_schur only */
 };
@@ -253,7 +260,8 @@ enum {
  *   marquardt    D_i^2 = diag(J^T J)_i, clamped to [min_damping_diagonal, max_damping_diagonal] for
  *                c_i = 1. Invariant under column scaling: uncertainties change only the clamp.
  *   levenberg    D_i = s_i / c_i, where s_i = 1 + sqrt(diag(J^T J)_i) at the first linearisation
- *   uncertainty  D_i = 1 / c_i: a trust region whose radius along parameter i is proportional to c_i */
+ *   uncertainty  D_i = 1 / c_i: a trust region whose radius along parameter i is proportional to
+ * c_i */
 enum { CLBA_DAMPING_MARQUARDT = 1, CLBA_DAMPING_LEVENBERG = 2, CLBA_DAMPING_UNCERTAINTY = 3 };
 enum {
     CLBA_PRECISION_DOUBLE = 1, /* fp64 throughout */
@@ -290,31 +298,31 @@ typedef int32_t (*clba_iteration_fn)(const clba_iteration* row, void* user_data)
 
 typedef struct clba_solver_options {
     uint32_t struct_size;
-    int32_t linear_solver;                /* PCG_SCHUR */
-    int32_t preconditioner;               /* DEFAULT */
-    int32_t damping;                      /* MARQUARDT */
-    int32_t precision;                    /* MIXED */
-    int32_t max_num_iterations;           /* >= 0; 50 */
-    int32_t max_linear_solver_iterations; /* > 0; 500 */
-    int32_t min_linear_solver_iterations; /* >= 0; 0 */
+    int32_t linear_solver;                     /* PCG_SCHUR */
+    int32_t preconditioner;                    /* DEFAULT */
+    int32_t damping;                           /* MARQUARDT */
+    int32_t precision;                         /* MIXED */
+    int32_t max_num_iterations;                /* >= 0; 50 */
+    int32_t max_linear_solver_iterations;      /* > 0; 500 */
+    int32_t min_linear_solver_iterations;      /* >= 0; 0 */
     int32_t max_num_consecutive_invalid_steps; /* >= 0; 5 */
-    int32_t reserved;                     /* 0 */
-    double initial_trust_region_radius;   /* > 0; 1e4 */
-    double max_trust_region_radius;       /* > 0; 1e16 */
-    double min_trust_region_radius;       /* > 0; 1e-32 */
-    double min_relative_decrease;         /* accept a step if its gain ratio exceeds this; 1e-3 */
-    double min_damping_diagonal;          /* > 0; 1e-6 */
-    double max_damping_diagonal;          /* > 0; 1e32 */
-    double function_tolerance;            /* stop if |cost_change| <= this * cost; 1e-6 */
-    double gradient_tolerance;            /* stop if gradient_max_norm <= this; 1e-10 */
-    double parameter_tolerance;           /* stop if |step| <= this * (|x| + this); 1e-8 */
-    double target_cost;                   /* stop if cost <= this; 0 */
-    double max_seconds;                   /* > 0; time budget; infinite */
+    int32_t reserved;                          /* 0 */
+    double initial_trust_region_radius;        /* > 0; 1e4 */
+    double max_trust_region_radius;            /* > 0; 1e16 */
+    double min_trust_region_radius;            /* > 0; 1e-32 */
+    double min_relative_decrease; /* accept a step if its gain ratio exceeds this; 1e-3 */
+    double min_damping_diagonal;  /* > 0; 1e-6 */
+    double max_damping_diagonal;  /* > 0; 1e32 */
+    double function_tolerance;    /* stop if |cost_change| <= this * cost; 1e-6 */
+    double gradient_tolerance;    /* stop if gradient_max_norm <= this; 1e-10 */
+    double parameter_tolerance;   /* stop if |step| <= this * (|x| + this); 1e-8 */
+    double target_cost;           /* stop if cost <= this; 0 */
+    double max_seconds;           /* > 0; time budget; infinite */
     double eta; /* forcing term of the inexact step, (0, 1): PCG stops when an iteration improves
                    the quadratic model by less than eta / iterations, relatively (Ceres'
                    Q-test; Nash and Sofer 1990); 0.1 */
-    clba_iteration_fn on_iteration;       /* or NULL */
-    void* user_data;                      /* passed to on_iteration, never read */
+    clba_iteration_fn on_iteration; /* or NULL */
+    void* user_data;                /* passed to on_iteration, never read */
 } clba_solver_options;
 CLBA_API clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size);
 
@@ -348,15 +356,15 @@ typedef struct clba_summary {
     int32_t preconditioner; /* the one used */
     int32_t damping;
     int32_t precision;
-    int32_t num_iterations;   /* rows of the log, less the initial one */
+    int32_t num_iterations; /* rows of the log, less the initial one */
     int32_t num_accepted_steps;
     int32_t num_rejected_steps; /* the cost would have risen */
     int32_t num_invalid_steps;
     int32_t num_linear_solver_iterations; /* summed */
-    int64_t num_behind_initial;  /* observations of points behind their camera */
+    int64_t num_behind_initial;           /* observations of points behind their camera */
     int64_t num_behind_final;
-    int64_t num_singular;        /* observations in the camera's own plane at the end: these keep a
-                                    constant residual and no derivative */
+    int64_t num_singular; /* observations in the camera's own plane at the end: these keep a
+                             constant residual and no derivative */
     int64_t num_indefinite_blocks; /* met while inverting, summed over the solve */
     double initial_cost;
     double final_cost;           /* as the device computed it */
@@ -366,18 +374,18 @@ typedef struct clba_summary {
     double setup_seconds;        /* ordering and upload */
     double linearize_seconds;    /* residuals, Jacobian, blocks */
     double linear_solver_seconds;
-    double evaluate_seconds;     /* trial states and their cost */
-    double reference_seconds;    /* reference_final_cost */
+    double evaluate_seconds;  /* trial states and their cost */
+    double reference_seconds; /* reference_final_cost */
     double other_seconds;
     /* Time on the device by the steps of the paper's Table 1, from event profiling; 0 where the
      * queue has no profiling. */
-    double residual_device_seconds;      /* f */
-    double jacobian_device_seconds;      /* J, with the gradient */
+    double residual_device_seconds;       /* f */
+    double jacobian_device_seconds;       /* J, with the gradient */
     double preconditioner_device_seconds; /* U, V and M^-1 */
-    double jx_device_seconds;            /* Jx */
-    double jty_device_seconds;           /* J^T y */
-    double schur_device_seconds;         /* fused S x = J^T (J x - ...), pcg_schur only */
-    double vector_device_seconds;        /* the rest: vectors, dot products, updates */
+    double jx_device_seconds;             /* Jx */
+    double jty_device_seconds;            /* J^T y */
+    double schur_device_seconds;          /* fused S x = J^T (J x - ...), pcg_schur only */
+    double vector_device_seconds;         /* the rest: vectors, dot products, updates */
     uint64_t peak_device_bytes;
     char device[128];
     char message[256]; /* why it ended, for people */
@@ -415,20 +423,20 @@ CLBA_API clba_status clba_problem_get_offsets(const clba_problem* problem,
                                               int64_t* intrinsics_offsets); /* num_cameras */
 
 /* What to compute; a NULL output is skipped. Residuals and Jacobian are whitened by the covariances
- * and multiplied by sqrt(rho'), so that gradient = J^T r. The Jacobian is in block compressed sparse
- * rows: block row i is observation i, with a 2 x C block for its image's pose (6 columns) and
- * camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the right), and a 2 x 3
- * block for its point. */
+ * and multiplied by sqrt(rho'), so that gradient = J^T r. The Jacobian is in block compressed
+ * sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6 columns)
+ * and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the right), and a 2
+ * x 3 block for its point. */
 typedef struct clba_evaluation {
     uint32_t struct_size;
-    int32_t precision;        /* in: CLBA_PRECISION_DOUBLE by default */
-    double cost;              /* out */
-    int64_t num_behind;       /* out: observations of points behind their camera */
-    int64_t num_singular;     /* out: observations in the camera's own plane */
-    double* residuals;        /* out, num_observations x 2 */
-    double* gradient;         /* out, num_parameters */
-    double* jacobian_images;  /* out, num_observations x 2 x C */
-    double* jacobian_points;  /* out, num_observations x 2 x 3 */
+    int32_t precision;       /* in: CLBA_PRECISION_DOUBLE by default */
+    double cost;             /* out */
+    int64_t num_behind;      /* out: observations of points behind their camera */
+    int64_t num_singular;    /* out: observations in the camera's own plane */
+    double* residuals;       /* out, num_observations x 2 */
+    double* gradient;        /* out, num_parameters */
+    double* jacobian_images; /* out, num_observations x 2 x C */
+    double* jacobian_points; /* out, num_observations x 2 x 3 */
 } clba_evaluation;
 CLBA_API clba_status clba_evaluation_init(clba_evaluation* evaluation, size_t struct_size);
 CLBA_API clba_status clba_problem_evaluate(clba_problem* problem, clba_context* context,
@@ -436,11 +444,11 @@ CLBA_API clba_status clba_problem_evaluate(clba_problem* problem, clba_context* 
 
 /* Products with the Jacobian at the current state, on the device. */
 enum {
-    CLBA_PRODUCT_JX = 1,            /* x: num_parameters; y: num_observations x 2 */
-    CLBA_PRODUCT_JTY = 2,           /* x: num_observations x 2; y: num_parameters */
-    CLBA_PRODUCT_BLOCK_JACOBI = 3   /* y = M^-1 x with M the diagonal blocks of J^T J + lambda
-                                       diag(J^T J): one an image with its own camera, one a shared
-                                       camera, one a point; both num_parameters */
+    CLBA_PRODUCT_JX = 1,          /* x: num_parameters; y: num_observations x 2 */
+    CLBA_PRODUCT_JTY = 2,         /* x: num_observations x 2; y: num_parameters */
+    CLBA_PRODUCT_BLOCK_JACOBI = 3 /* y = M^-1 x with M the diagonal blocks of J^T J + lambda
+                                     diag(J^T J): one an image with its own camera, one a shared
+                                     camera, one a point; both num_parameters */
 };
 /* Error if M has an indefinite block. lambda >= 0 is used by BLOCK_JACOBI alone. */
 CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* context,
@@ -453,11 +461,11 @@ CLBA_API clba_status clba_problem_apply_step(clba_problem* problem, const double
 
 typedef struct clba_comparison {
     uint32_t struct_size;
-    int32_t reserved;         /* 0 */
-    double scale;             /* of the similarity that takes b to a */
+    int32_t reserved;                                   /* 0 */
+    double scale;                                       /* of the similarity that takes b to a */
     double max_center_distance, median_center_distance; /* of camera centres, in units of a */
     double max_point_distance, median_point_distance;
-    double extent;            /* of a: root mean square distance of its centres from their mean */
+    double extent; /* of a: root mean square distance of its centres from their mean */
 } clba_comparison;
 /* Aligns b to a by the similarity that fits the camera centres best (Umeyama 1991; with fewer than
  * three images, centres and points) and measures what is left. Both need as many images and points
@@ -486,18 +494,18 @@ enum {
 CLBA_API const char* clba_scene_name(int32_t scene); /* NULL: no such scene */
 typedef struct clba_scene_options {
     uint32_t struct_size;
-    int32_t scene;                /* HALL */
-    int32_t num_images;           /* >= 2; 356 */
-    int32_t num_points;           /* >= 1; 0: follows from the observations */
+    int32_t scene;                  /* HALL */
+    int32_t num_images;             /* >= 2; 356 */
+    int32_t num_points;             /* >= 1; 0: follows from the observations */
     int32_t observations_per_image; /* >= 8, about so many; 400 */
-    int32_t reserved;             /* 0 */
-    uint64_t seed;                /* equal seeds give equal scenes */
-    double pixel_noise;           /* standard deviation, pixels; 0.5 */
-    double outlier_share;         /* of observations, moved anywhere in the image; 0 */
-    double rotation_noise;        /* of the start, degrees; 0.5 */
-    double position_noise;        /* of the start's camera centres, share of the distance to the
-                                     scene; 0.01 */
-    double point_noise;           /* of the start's points, the same share; 0.01 */
+    int32_t reserved;               /* 0 */
+    uint64_t seed;                  /* equal seeds give equal scenes */
+    double pixel_noise;             /* standard deviation, pixels; 0.5 */
+    double outlier_share;           /* of observations, moved anywhere in the image; 0 */
+    double rotation_noise;          /* of the start, degrees; 0.5 */
+    double position_noise;          /* of the start's camera centres, share of the distance to the
+                                       scene; 0.01 */
+    double point_noise;             /* of the start's points, the same share; 0.01 */
 } clba_scene_options;
 CLBA_API clba_status clba_scene_options_init(clba_scene_options* options, size_t struct_size);
 /* start: the disturbed problem, as a solver gets it. truth (may be NULL): the same observations

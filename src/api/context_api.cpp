@@ -44,7 +44,7 @@ clba_context_options default_context_options() {
     return options;
 }
 
-#define CLBA_SAME_STATUS(name, number)                            \
+#define CLBA_SAME_STATUS(name, number)                        \
     static_assert(static_cast<int>(Status::name) == (number), \
                   "Status must have the numbers of clba_status");
 CLBA_SAME_STATUS(invalid_argument, CLBA_ERROR_INVALID_ARGUMENT)
@@ -72,7 +72,9 @@ void set_last_error(const std::string& message) noexcept {
 
 using namespace clba;
 
-uint32_t clba_version(void) { return CLBA_VERSION; }
+uint32_t clba_version(void) {
+    return CLBA_VERSION;
+}
 
 const char* clba_status_string(clba_status status) {
     switch (status) {
@@ -101,7 +103,9 @@ const char* clba_status_string(clba_status status) {
     }
 }
 
-const char* clba_last_error(void) { return last_error.c_str(); }
+const char* clba_last_error(void) {
+    return last_error.c_str();
+}
 
 clba_status clba_num_devices(int32_t* num_devices) {
     std::string missing;
@@ -110,8 +114,9 @@ clba_status clba_num_devices(int32_t* num_devices) {
         try {
             *num_devices = static_cast<int32_t>(list_devices().size());
             if (*num_devices == 0)
-                missing = "the OpenCL loader lists no device; install a driver: a GPU vendor's, or "
-                          "pocl-opencl-icd for the CPU";
+                missing =
+                    "the OpenCL loader lists no device; install a driver: a GPU vendor's, or "
+                    "pocl-opencl-icd for the CPU";
         } catch (const Error& error) {
             if (error.status() != Status::no_device) throw;
             *num_devices = 0;
@@ -138,15 +143,15 @@ clba_status clba_context_create(const clba_context_options* options, clba_contex
     if (context) *context = nullptr;
     return guarded([&] {
         require_pointer(context, "context");
-        const clba_context_options given =
-            copied_in(options, default_context_options(), "options");
+        const clba_context_options given = copied_in(options, default_context_options(), "options");
         require(given.device_index >= -1, "device_index = ", given.device_index,
                 ", but it is an index of at least 0, or -1");
         ContextOptions internal;
         internal.device_index = given.device_index;
         if (given.device) {
             internal.device = given.device;
-        } else if (const char* named = std::getenv("CLBA_DEVICE"); named && given.device_index < 0) {
+        } else if (const char* named = std::getenv("CLBA_DEVICE");
+                   named && given.device_index < 0) {
             internal.device = named;
         }
         internal.cache_folder = given.cache_dir ? given.cache_dir : ProgramCache::default_folder();

@@ -68,14 +68,14 @@ void require_pointer(Pointer* pointer, const char* name) {
     require(pointer != nullptr, name, " is NULL, but it must not be");
 }
 
-// The caller's struct as this version knows it: what the caller's version lacks has its default, and
-// what this version does not know must be 0.
+// The caller's struct as this version knows it: what the caller's version lacks has its default,
+// and what this version does not know must be 0.
 template <class Struct>
 Struct copied_in(const Struct* caller, const Struct& defaults, const char* name) {
     if (!caller) return defaults;
     const uint32_t size = caller->struct_size;
-    require(size >= sizeof(uint32_t), name, ".struct_size = ", size,
-            ", but it must be sizeof(", name, "); fill the struct with its _init function");
+    require(size >= sizeof(uint32_t), name, ".struct_size = ", size, ", but it must be sizeof(",
+            name, "); fill the struct with its _init function");
     const auto* bytes = reinterpret_cast<const unsigned char*>(caller);
     for (size_t i = sizeof(Struct); i < size; ++i)
         require(bytes[i] == 0, name, " has a field at byte ", i,
@@ -123,7 +123,9 @@ public:
         std::memcpy(&value, address(i, k), sizeof value);
         return value;
     }
-    void set(int64_t i, size_t k, Value value) const { std::memcpy(address(i, k), &value, sizeof value); }
+    void set(int64_t i, size_t k, Value value) const {
+        std::memcpy(address(i, k), &value, sizeof value);
+    }
 
 private:
     auto* address(int64_t i, size_t k) const {

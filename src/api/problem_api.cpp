@@ -71,7 +71,9 @@ clba_problem* new_problem(Problem&& problem) {
 
 using namespace clba;
 
-int32_t clba_num_camera_models(void) { return num_camera_models; }
+int32_t clba_num_camera_models(void) {
+    return num_camera_models;
+}
 
 const char* clba_camera_model_name(int32_t model) {
     return is_camera_model(model) ? camera_models[model].name : nullptr;
@@ -160,10 +162,9 @@ clba_status clba_problem_set_cameras(clba_problem* problem, int32_t count, const
             p.camera_uncertainties.clear();
         }
         const bool is_other_structure =
-            !is_same_number || !std::equal(cameras.begin(), cameras.end(), p.cameras.begin(),
-                                           [](const Camera& a, const Camera& b) {
-                                               return a.model == b.model;
-                                           });
+            !is_same_number ||
+            !std::equal(cameras.begin(), cameras.end(), p.cameras.begin(),
+                        [](const Camera& a, const Camera& b) { return a.model == b.model; });
         p.cameras = std::move(cameras);
         return is_other_structure;
     });
@@ -309,7 +310,8 @@ clba_status clba_problem_get_cameras(const clba_problem* problem, int32_t first,
         auto* row = reinterpret_cast<unsigned char*>(params);
         for (int32_t i = first; i < first + count; ++i) {
             const Camera& camera = p.cameras[i];
-            if (models) Rows(models, models_stride, 1, "models", count).set(i - first, 0, camera.model);
+            if (models)
+                Rows(models, models_stride, 1, "models", count).set(i - first, 0, camera.model);
             if (!params) continue;
             const size_t bytes = static_cast<size_t>(camera.num_params()) * sizeof(double);
             std::memcpy(row, camera.params.data(), bytes);
@@ -363,10 +365,9 @@ clba_status clba_problem_get_points(const clba_problem* problem, int32_t first, 
     });
 }
 
-clba_status clba_problem_get_observations(const clba_problem* problem, int64_t first,
-                                          int64_t count, int32_t* images, size_t images_stride,
-                                          int32_t* points, size_t points_stride, double* xy,
-                                          size_t xy_stride) {
+clba_status clba_problem_get_observations(const clba_problem* problem, int64_t first, int64_t count,
+                                          int32_t* images, size_t images_stride, int32_t* points,
+                                          size_t points_stride, double* xy, size_t xy_stride) {
     return guarded([&] {
         require_pointer(problem, "problem");
         const Problem& p = problem->problem;
@@ -522,8 +523,7 @@ clba_status clba_problem_apply_step(clba_problem* problem, const double* step) {
         const ParameterLayout layout(problem->problem);
         const int64_t n = layout.num_parameters(problem->problem);
         for (int64_t k = 0; k < n; ++k)
-            require(std::isfinite(step[k]), "step[", k, "] = ", step[k],
-                    ", but it must be finite");
+            require(std::isfinite(step[k]), "step[", k, "] = ", step[k], ", but it must be finite");
         apply_step(layout, step, problem->problem);
     });
 }

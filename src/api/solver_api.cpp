@@ -247,8 +247,8 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     Evaluator evaluator(device, problem);
     std::vector<Buffer> residuals;
     if (request.residuals)
-        residuals = device.make_slot_rows(StoredJacobian::num_product_rows, sizeof(double),
-                                          "residuals");
+        residuals =
+            device.make_slot_rows(StoredJacobian::num_product_rows, sizeof(double), "residuals");
     const CostEvaluation evaluation =
         evaluator.cost(device.state, request.residuals ? &residuals : nullptr);
     request.cost = evaluation.cost;
@@ -302,8 +302,10 @@ void multiply(const Problem& problem, DeviceProblem& device, int32_t product, do
         equations.update_blocks();
         const int64_t failures =
             equations.factor_points(lambda) + equations.factor_images(lambda, equations.u());
-        require(failures == 0, failures, " diagonal blocks of J^T J + lambda D^2 are not positive "
-                "definite at lambda = ", lambda, "; a larger lambda makes them so");
+        require(failures == 0, failures,
+                " diagonal blocks of J^T J + lambda D^2 are not positive "
+                "definite at lambda = ",
+                lambda, "; a larger lambda makes them so");
         device.upload(x, vector);
         Vector result = device.make_vector("a product");
         equations.apply_image_factors(vector, result);
@@ -386,8 +388,8 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
                 return given.on_iteration(&out, given.user_data) == 0;
             };
         try {
-            const Summary summary = solve(problem->problem, context->context, internal, precision,
-                                          problem->mirror);
+            const Summary summary =
+                solve(problem->problem, context->context, internal, precision, problem->mirror);
             if (result) *result = make_result(summary).release();
         } catch (...) {
             problem->mirror.reset();
@@ -396,7 +398,9 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
     });
 }
 
-void clba_result_release(clba_result* result) { delete result; }
+void clba_result_release(clba_result* result) {
+    delete result;
+}
 
 clba_status clba_result_get_summary(const clba_result* result, clba_summary* summary) {
     return guarded([&] {

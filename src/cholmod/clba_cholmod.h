@@ -31,9 +31,9 @@ typedef struct clba_cholmod clba_cholmod;
 /* CLBA_CHOLMOD_VERSION of the library loaded. Every version has this function. */
 CLBA_CHOLMOD_API int32_t clba_cholmod_version(void);
 
-/* The lower triangle of a symmetric n x n matrix by compressed columns, rows ascending: column j has
- * the entries [column_starts[j], column_starts[j + 1]). Both arrays are the caller's, and must live
- * as long as the handle. NULL: out of memory. */
+/* The lower triangle of a symmetric n x n matrix by compressed columns, rows ascending: column j
+ * has the entries [column_starts[j], column_starts[j + 1]). Both arrays are the caller's, and must
+ * live as long as the handle. NULL: out of memory. */
 CLBA_CHOLMOD_API clba_cholmod* clba_cholmod_create(int64_t n, const int64_t* column_starts,
                                                    const int64_t* rows);
 CLBA_CHOLMOD_API void clba_cholmod_destroy(clba_cholmod* handle); /* NULL is allowed */

@@ -25,8 +25,8 @@ Buffer::Buffer(Queue& queue, uint64_t bytes, const std::string& label)
     if (error != CL_SUCCESS)
         fail(Status::out_of_memory, "no device memory for ", label, ": wanted ", bytes,
              " bytes beside the ", memory_->current_bytes, " in use; ", context.device().name,
-             " has ", context.device().global_memory_bytes, " bytes (clCreateBuffer: ",
-             opencl_error_name(error), ")");
+             " has ", context.device().global_memory_bytes,
+             " bytes (clCreateBuffer: ", opencl_error_name(error), ")");
     memory_->current_bytes += bytes_;
     memory_->peak_bytes = std::max(memory_->peak_bytes, memory_->current_bytes);
 }

@@ -107,18 +107,17 @@ _cl_program* Context::program(const std::string& path, const std::string& camera
     const auto start = std::chrono::steady_clock::now();
     _cl_program* program = build(kernel_source(path, camera_model_path), options);
     programs_.emplace(key, program);
-    build_seconds_ = build_seconds_ + std::chrono::duration<double>(
-                                          std::chrono::steady_clock::now() - start)
-                                          .count();
+    build_seconds_ =
+        build_seconds_ +
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     return program;
 }
 
 _cl_program* Context::build(const std::string& source, const std::string& options) {
     OpenCl& cl = opencl();
-    const std::string key =
-        text(CLBA_VERSION, '\n', options, '\n', device_.platform, '\n', device_.platform_version,
-             '\n', device_.vendor, '\n', device_.name, '\n', device_.version, '\n', device_.driver,
-             '\n', source);
+    const std::string key = text(CLBA_VERSION, '\n', options, '\n', device_.platform, '\n',
+                                 device_.platform_version, '\n', device_.vendor, '\n', device_.name,
+                                 '\n', device_.version, '\n', device_.driver, '\n', source);
     const std::vector<unsigned char> binary = cache_.load(key);
     if (!binary.empty()) {
         const size_t bytes = binary.size();
@@ -135,15 +134,14 @@ _cl_program* Context::build(const std::string& source, const std::string& option
     const char* pointer = source.c_str();
     const size_t bytes = source.size();
     cl_int error = CL_SUCCESS;
-    cl_program program =
-        cl.clCreateProgramWithSource(context_, 1, &pointer, &bytes, &error);
+    cl_program program = cl.clCreateProgramWithSource(context_, 1, &pointer, &bytes, &error);
     check_opencl(error, "clCreateProgramWithSource");
     error = cl.clBuildProgram(program, 1, &device_.id, options.c_str(), nullptr, nullptr);
     if (error != CL_SUCCESS) {
         const std::string log = build_log(program, device_.id);
         cl.clReleaseProgram(program);
-        fail(Status::kernel_build, "clBuildProgram failed with ", opencl_error_name(error),
-             " on ", device_.name, " with the options '", options, "':\n", log);
+        fail(Status::kernel_build, "clBuildProgram failed with ", opencl_error_name(error), " on ",
+             device_.name, " with the options '", options, "':\n", log);
     }
     const std::vector<unsigned char> compiled = program_binary(program);
     if (!compiled.empty()) cache_.store(key, compiled);

@@ -19,7 +19,7 @@ struct ContextOptions {
     int device_index = -1;
     std::string device;  // see select_device
     std::string cache_folder;
-    bool cache_is_required = false;  // the folder was named: it must be writable
+    bool cache_is_required = false;     // the folder was named: it must be writable
     uint64_t max_allocation_bytes = 0;  // 0: the device's limit
     // The caller's own; all or none. Retained.
     _cl_context* cl_context = nullptr;
@@ -29,11 +29,11 @@ struct ContextOptions {
 
 // How kernels are shaped for the device (kernels/lanes.clh).
 struct Tuning {
-    bool lane_loop = true;   // work-groups of one work-item with inner loops: CPUs
-    bool vectorize = true;   // ask the compiler to vectorise these loops
+    bool lane_loop = true;  // work-groups of one work-item with inner loops: CPUs
+    bool vectorize = true;  // ask the compiler to vectorise these loops
     int work_group_size = 1;
-    int vector_groups = 1;   // work-groups for kernels over vectors
-    int lanes = 16;          // padding of runs
+    int vector_groups = 1;           // work-groups for kernels over vectors
+    int lanes = 16;                  // padding of runs
     int32_t points_per_tile = 4096;  // at most
 };
 
@@ -50,8 +50,8 @@ public:
     // Tests set these before they make a queue.
     Tuning tuning;
 
-    // The program of kernels/<path> with these -D options, from memory, from the cache on disk or by
-    // compiling it. Throws kernel_build with the compiler's log. The context keeps the program.
+    // The program of kernels/<path> with these -D options, from memory, from the cache on disk or
+    // by compiling it. Throws kernel_build with the compiler's log. The context keeps the program.
     _cl_program* program(const std::string& path, const std::string& camera_model_path,
                          const std::string& options);
     double build_seconds() const { return build_seconds_; }  // so far

@@ -68,8 +68,7 @@ std::vector<DeviceInfo> list_devices() {
     if (error == platform_not_found || num_platforms == 0) return {};
     check_opencl(error, "clGetPlatformIDs");
     std::vector<cl_platform_id> platforms(num_platforms);
-    check_opencl(cl.clGetPlatformIDs(num_platforms, platforms.data(), nullptr),
-                 "clGetPlatformIDs");
+    check_opencl(cl.clGetPlatformIDs(num_platforms, platforms.data(), nullptr), "clGetPlatformIDs");
     std::vector<DeviceInfo> devices;
     for (cl_platform_id platform : platforms) {
         cl_uint num_devices = 0;
@@ -98,11 +97,9 @@ DeviceInfo describe_device(cl_device_id id) {
                 : type & CL_DEVICE_TYPE_CPU         ? DeviceType::cpu
                 : type & CL_DEVICE_TYPE_ACCELERATOR ? DeviceType::accelerator
                                                     : DeviceType::other;
-    info.has_double =
-        device_value<cl_device_fp_config>(id, CL_DEVICE_DOUBLE_FP_CONFIG) != 0;
+    info.has_double = device_value<cl_device_fp_config>(id, CL_DEVICE_DOUBLE_FP_CONFIG) != 0;
     info.has_unified_memory = device_value<cl_bool>(id, CL_DEVICE_HOST_UNIFIED_MEMORY) != 0;
-    info.compute_units =
-        static_cast<int>(device_value<cl_uint>(id, CL_DEVICE_MAX_COMPUTE_UNITS));
+    info.compute_units = static_cast<int>(device_value<cl_uint>(id, CL_DEVICE_MAX_COMPUTE_UNITS));
     info.global_memory_bytes = device_value<cl_ulong>(id, CL_DEVICE_GLOBAL_MEM_SIZE);
     info.max_allocation_bytes = device_value<cl_ulong>(id, CL_DEVICE_MAX_MEM_ALLOC_SIZE);
     info.local_memory_bytes = device_value<cl_ulong>(id, CL_DEVICE_LOCAL_MEM_SIZE);
@@ -134,8 +131,8 @@ DeviceInfo select_device(int index, const std::string& name) {
             if (lower(device.platform).find(lower(name)) != std::string::npos ||
                 lower(device.name).find(lower(name)) != std::string::npos)
                 return device;
-        fail(Status::no_device, "no platform or device has '", name, "' in its name: ",
-             list_text(devices));
+        fail(Status::no_device, "no platform or device has '", name,
+             "' in its name: ", list_text(devices));
     }
     if (devices.empty()) fail(Status::no_device, list_text(devices));
     const auto rank = [](const DeviceInfo& device) {

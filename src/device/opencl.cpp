@@ -14,8 +14,8 @@ OpenCl load_opencl() {
              "); install one, as ocl-icd-libopencl1 on Debian, and a driver: a GPU vendor's, or "
              "pocl-opencl-icd for the CPU");
     OpenCl table;
-#define CLBA_LOAD(name)                                                                   \
-    table.name = library.symbol<std::remove_pointer_t<decltype(table.name)>>(#name);      \
+#define CLBA_LOAD(name)                                                              \
+    table.name = library.symbol<std::remove_pointer_t<decltype(table.name)>>(#name); \
     if (!table.name) fail(Status::no_device, "the OpenCL loader has no function " #name);
     CLBA_OPENCL_FUNCTIONS(CLBA_LOAD)
 #undef CLBA_LOAD

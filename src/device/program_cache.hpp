@@ -6,8 +6,8 @@
 namespace clba {
 
 // Compiled programs on disk, one file each. A file holds its whole key (library version, source,
-// options, platform, device, driver) and a checksum, so that a foreign, truncated or corrupt file is
-// a miss and never a wrong program. Any failure to read or write is a miss too.
+// options, platform, device, driver) and a checksum, so that a foreign, truncated or corrupt file
+// is a miss and never a wrong program. Any failure to read or write is a miss too.
 class ProgramCache {
 public:
     // folder "": nothing is kept.

@@ -36,8 +36,8 @@ Queue::~Queue() {
     cl.clReleaseCommandQueue(queue_);
 }
 
-Kernel& Queue::kernel(const std::string& path, const std::string& name,
-                      const std::string& defines, const std::string& camera_model_path) {
+Kernel& Queue::kernel(const std::string& path, const std::string& name, const std::string& defines,
+                      const std::string& camera_model_path) {
     const std::string key = name + ' ' + defines + ' ' + camera_model_path;
     const auto found = kernels_.find(key);
     if (found != kernels_.end()) return found->second;

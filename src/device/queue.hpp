@@ -30,8 +30,8 @@ struct Scratch {
     size_t bytes = 0;
 };
 
-// An in-order command queue with its kernels, its memory account and its clock. Used by one thread at
-// a time; every blocking call waits for all that came before it.
+// An in-order command queue with its kernels, its memory account and its clock. Used by one thread
+// at a time; every blocking call waits for all that came before it.
 class Queue {
 public:
     explicit Queue(std::shared_ptr<Context> context);

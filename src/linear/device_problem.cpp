@@ -43,10 +43,9 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     upload_structure(problem);
     state = make_state();
     trial = make_state();
-    image_records = Buffer(queue_,
-                           static_cast<uint64_t>(num_images_) * (12 + max_camera_params) *
-                               sizeof(double),
-                           "image records");
+    image_records = Buffer(
+        queue_, static_cast<uint64_t>(num_images_) * (12 + max_camera_params) * sizeof(double),
+        "image records");
 }
 
 template <class Value>
@@ -152,9 +151,8 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
         return row == 0 ? o.x : o.y;
     });
     if (!problem.whitening.empty())
-        fill(device_segment.whitening, 3, [&](int64_t observation, int row) {
-            return problem.whitening[observation][row];
-        });
+        fill(device_segment.whitening, 3,
+             [&](int64_t observation, int row) { return problem.whitening[observation][row]; });
     return device_segment;
 }
 
@@ -206,8 +204,7 @@ void DeviceProblem::upload_state(const Problem& problem) {
         for (int32_t i = 0; i < num_images_; ++i) {
             const Pose& pose = problem.images[i].pose;
             std::copy(pose.rotation.begin(), pose.rotation.end(), &poses[7 * int64_t{i}]);
-            std::copy(pose.translation.begin(), pose.translation.end(),
-                      &poses[7 * int64_t{i} + 4]);
+            std::copy(pose.translation.begin(), pose.translation.end(), &poses[7 * int64_t{i} + 4]);
         }
         const auto params = state.camera_params.map_write<double>();
         for (int32_t c = 0; c < num_cameras_; ++c)
@@ -271,16 +268,16 @@ void DeviceProblem::download(const Vector& vector, double* values) const {
         for (int64_t slot = 0; slot < n; ++slot)
             if (slot_point[slot] >= 0)
                 for (int k = 0; k < 3; ++k)
-                    values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k] =
-                        rows[k * n + slot];
+                    values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k] = rows[k * n + slot];
     }
 }
 
 void DeviceProblem::update(const Vector& step) {
     const auto launch = [&](const char* name, int64_t rows, const auto&... arguments) {
-        queue_.launch(Step::vector, queue_.kernel("state.cl", name,
-                                                  text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
-                      std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
+        queue_.launch(
+            Step::vector,
+            queue_.kernel("state.cl", name, text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
+            std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
     launch("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
            trial.poses);
@@ -293,11 +290,11 @@ void DeviceProblem::update(const Vector& step) {
 }
 
 void DeviceProblem::update_image_records(const State& of) {
-    queue_.launch(Step::vector,
-                  queue_.kernel("state.cl", "image_records",
-                                text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
-                  std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_,
-                  of.poses, image_camera_, of.camera_params, image_records);
+    queue_.launch(
+        Step::vector,
+        queue_.kernel("state.cl", "image_records", text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
+        std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_, of.poses,
+        image_camera_, of.camera_params, image_records);
 }
 
 }  // namespace clba

@@ -42,8 +42,8 @@ struct DeviceChunk {
     const Buffer* point_scale_or_null() const { return point_scale ? &point_scale : nullptr; }
 };
 
-// Poses (7 doubles an image), camera parameters (max_camera_params a camera) and points (3 rows over
-// the point slots of each chunk).
+// Poses (7 doubles an image), camera parameters (max_camera_params a camera) and points (3 rows
+// over the point slots of each chunk).
 struct State {
     Buffer poses, camera_params;
     std::vector<Buffer> points;
@@ -54,8 +54,8 @@ struct State {
     }
 };
 
-// A problem on a device: its structure in tiles, its measurements and two states. Everything that is
-// laid out on the device is translated to and from the caller's order here.
+// A problem on a device: its structure in tiles, its measurements and two states. Everything that
+// is laid out on the device is translated to and from the caller's order here.
 class DeviceProblem {
 public:
     DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
@@ -69,8 +69,8 @@ public:
     const std::vector<DeviceChunk>& chunks() const { return chunks_; }
     int32_t max_tiles_per_chunk() const;
 
-    void upload_state(const Problem& problem);        // into `state`
-    void download_state(Problem& problem) const;      // from `state`
+    void upload_state(const Problem& problem);    // into `state`
+    void download_state(Problem& problem) const;  // from `state`
     // trial = state moved by step.
     void update(const Vector& step);
 
@@ -80,8 +80,8 @@ public:
     Vector make_vector(const std::string& label);          // F and E
     Vector make_reduced_vector(const std::string& label);  // F alone
     std::vector<Buffer> make_point_rows(int rows, size_t value_bytes, const std::string& label);
-    // One buffer a segment, in the order of chunks and their segments: rows_of(num_columns) rows over
-    // its slots, run by run.
+    // One buffer a segment, in the order of chunks and their segments: rows_of(num_columns) rows
+    // over its slots, run by run.
     template <class RowsOf>
     std::vector<Buffer> make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
                                        const std::string& label);
@@ -99,9 +99,9 @@ public:
     size_t num_segments() const;
 
     // Buffers of the F side.
-    Buffer pose_offsets;        // of each image in an F vector
-    Buffer intrinsics_offsets;  // of each image's camera
-    Buffer scale_f;             // ParameterLayout::scale
+    Buffer pose_offsets;                             // of each image in an F vector
+    Buffer intrinsics_offsets;                       // of each image's camera
+    Buffer scale_f;                                  // ParameterLayout::scale
     Buffer block_offset, block_size, matrix_offset;  // of ParameterLayout::blocks
     int32_t num_blocks() const { return static_cast<int32_t>(layout_.blocks.size()); }
     uint64_t matrices_bytes() const { return matrices_bytes_; }  // packed lower triangles, doubles

@@ -8,17 +8,17 @@ template <class Real>
 void download_blocks(const DeviceProblem& problem, StoredJacobian& stored,
                      reference::Jacobian& jacobian) {
     const int width = jacobian.columns;
-    problem.visit_slots<Real>(
-        stored.blocks(), StoredJacobian::num_rows,
-        [&](int64_t observation, int columns, auto&& slot) {
-            double* image = jacobian.image_blocks.data() + observation * 2 * width;
-            for (int k = 0; k < columns; ++k) {
-                image[k] = slot(k);
-                image[width + k] = slot(columns + k);
-            }
-            double* point = jacobian.point_blocks.data() + observation * 6;
-            for (int k = 0; k < 6; ++k) point[k] = slot(2 * columns + k);
-        });
+    problem.visit_slots<Real>(stored.blocks(), StoredJacobian::num_rows,
+                              [&](int64_t observation, int columns, auto&& slot) {
+                                  double* image =
+                                      jacobian.image_blocks.data() + observation * 2 * width;
+                                  for (int k = 0; k < columns; ++k) {
+                                      image[k] = slot(k);
+                                      image[width + k] = slot(columns + k);
+                                  }
+                                  double* point = jacobian.point_blocks.data() + observation * 6;
+                                  for (int k = 0; k < 6; ++k) point[k] = slot(2 * columns + k);
+                              });
 }
 
 }  // namespace
@@ -72,8 +72,7 @@ DirectSolver::DirectSolver(const Problem& problem, NormalEquations& equations)
       problem_(problem),
       direct_(problem, equations.problem().layout()),
       jacobian_(empty_jacobian(problem, equations.problem().layout())) {
-    const auto n =
-        static_cast<size_t>(equations.problem().layout().num_parameters(problem));
+    const auto n = static_cast<size_t>(equations.problem().layout().num_parameters(problem));
     gradient_.resize(n);
     damping_.resize(n);
     step_.resize(n);
@@ -88,8 +87,7 @@ LinearSolution DirectSolver::solve(double lambda, Vector& step) {
     for (double& d : damping_) d *= lambda;
     LinearSolution solution;
     solution.num_iterations = 1;
-    solution.is_usable =
-        direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
+    solution.is_usable = direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
     solution.num_indefinite_blocks = direct_.num_indefinite();
     if (solution.is_usable) device.upload(step_.data(), step);
     return solution;

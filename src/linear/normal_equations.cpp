@@ -43,11 +43,10 @@ void NormalEquations::update_blocks() {
     const bool is_levenberg = options_.policy == Damping::levenberg;
     const auto policy = static_cast<int32_t>(options_.policy);
     const int32_t is_first = is_first_ ? 1 : 0;
-    queue_.launch(Step::preconditioner, kernel("image_damping"),
-                  num_groups(problem_.num_blocks()), policy, options_.min_diagonal,
-                  options_.max_diagonal, problem_.num_blocks(), problem_.block_offset,
-                  problem_.block_size, problem_.matrix_offset, u_, problem_.scale_f,
-                  is_levenberg ? &initial_diagonal_.f : nullptr, is_first, d2_.f);
+    queue_.launch(Step::preconditioner, kernel("image_damping"), num_groups(problem_.num_blocks()),
+                  policy, options_.min_diagonal, options_.max_diagonal, problem_.num_blocks(),
+                  problem_.block_offset, problem_.block_size, problem_.matrix_offset, u_,
+                  problem_.scale_f, is_levenberg ? &initial_diagonal_.f : nullptr, is_first, d2_.f);
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         queue_.launch(Step::preconditioner, kernel("point_damping"),

@@ -24,8 +24,7 @@ PcgResult pcg(PcgSystem& system, const PcgOptions& options, VectorOperations& ve
         const double curvature = vectors.dot(work.p, work.q);
         if (!(curvature > 0) || !std::isfinite(curvature)) return result;
         const double alpha = rho / curvature;
-        const double next_model =
-            -0.5 * vectors.pcg_step(alpha, work.p, work.q, b, x, work.r);
+        const double next_model = -0.5 * vectors.pcg_step(alpha, work.p, work.q, b, x, work.r);
         result.num_iterations = k;
         if (!std::isfinite(next_model)) {
             result.is_usable = false;

@@ -97,6 +97,8 @@ void PcgSchur::multiply(const Vector& p, Vector& q) {
     equations_.problem().vectors().add_damping(lambda_, equations_.damping(), p, q);
 }
 
-void PcgSchur::precondition(const Vector& r, Vector& z) { equations_.apply_image_factors(r, z); }
+void PcgSchur::precondition(const Vector& r, Vector& z) {
+    equations_.apply_image_factors(r, z);
+}
 
 }  // namespace clba

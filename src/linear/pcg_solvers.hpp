@@ -39,7 +39,7 @@ private:
     NormalEquations& equations_;
     double lambda_ = 0;
     PcgWork work_;
-    Vector b_;      // F alone
+    Vector b_;       // F alone
     Vector points_;  // scratch: F and E
     Buffer schur_blocks_;
 };

@@ -47,8 +47,8 @@ void StoredJacobian::for_each_segment(Visit&& visit) {
 void StoredJacobian::reduce_runs(Step step, const DeviceSegment& segment, const Buffer& run_sums,
                                  bool is_double, Buffer& f) {
     const std::string options =
-        text("-DCOLUMNS=", segment.num_columns, " -DRUN_REAL=",
-             is_double ? "double" : real_type(problem_.precision()));
+        text("-DCOLUMNS=", segment.num_columns,
+             " -DRUN_REAL=", is_double ? "double" : real_type(problem_.precision()));
     queue_.launch(step, queue_.kernel("reduce.cl", "reduce_runs", options), segment.num_blocks,
                   segment.block_offset, segment.block_size, segment.block_column,
                   segment.block_runs, segment.runs, run_sums, f);
@@ -83,8 +83,7 @@ void StoredJacobian::multiply_transposed(Vector& x) {
                       point_real_[c], run_sums_, queue_.scratch());
         reduce_runs(Step::jty, segment, run_sums_, false, x.f);
     });
-    for (size_t c = 0; c < x.e.size(); ++c)
-        problem_.vectors().from_real(point_real_[c], x.e[c]);
+    for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().from_real(point_real_[c], x.e[c]);
 }
 
 void StoredJacobian::schur_multiply(const Vector& x, const std::vector<Buffer>& point_factors,
@@ -120,13 +119,13 @@ void StoredJacobian::schur_multiply(const Vector& x, const std::vector<Buffer>& 
 
 void StoredJacobian::point_blocks(std::vector<Buffer>& v) {
     for (Buffer& rows : v) rows.fill_zero();
-    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
-                         size_t i) {
-        queue_.launch(Step::preconditioner,
-                      queue_.kernel("blocks.cl", "point_blocks", defines(segment.num_columns)),
-                      chunk.num_tiles, chunk.tile_points, segment.tile_runs, segment.run_slots,
-                      segment.slot_point, blocks_[i], chunk.num_point_slots, v[c]);
-    });
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            queue_.launch(Step::preconditioner,
+                          queue_.kernel("blocks.cl", "point_blocks", defines(segment.num_columns)),
+                          chunk.num_tiles, chunk.tile_points, segment.tile_runs, segment.run_slots,
+                          segment.slot_point, blocks_[i], chunk.num_point_slots, v[c]);
+        });
 }
 
 void StoredJacobian::sum_image_blocks(std::vector<Buffer>* weights, Buffer& matrices) {
@@ -146,20 +145,22 @@ void StoredJacobian::sum_image_blocks(std::vector<Buffer>* weights, Buffer& matr
     });
 }
 
-void StoredJacobian::image_blocks(Buffer& u) { sum_image_blocks(nullptr, u); }
+void StoredJacobian::image_blocks(Buffer& u) {
+    sum_image_blocks(nullptr, u);
+}
 
 void StoredJacobian::schur_blocks(const std::vector<Buffer>& point_factors, Buffer& blocks) {
     if (weights_.empty())
         weights_ = problem_.make_slot_rows([](int) { return 3; }, real_bytes(problem_.precision()),
                                            "Schur weights");
-    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
-                         size_t i) {
-        queue_.launch(Step::preconditioner,
-                      queue_.kernel("blocks.cl", "schur_weights", defines(segment.num_columns)),
-                      chunk.num_tiles, chunk.tile_points, segment.tile_runs, segment.run_slots,
-                      segment.slot_point, blocks_[i], chunk.num_point_slots, point_factors[c],
-                      weights_[i]);
-    });
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            queue_.launch(Step::preconditioner,
+                          queue_.kernel("blocks.cl", "schur_weights", defines(segment.num_columns)),
+                          chunk.num_tiles, chunk.tile_points, segment.tile_runs, segment.run_slots,
+                          segment.slot_point, blocks_[i], chunk.num_point_slots, point_factors[c],
+                          weights_[i]);
+        });
     sum_image_blocks(&weights_, blocks);
 }
 

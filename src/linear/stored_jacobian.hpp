@@ -33,7 +33,8 @@ public:
     // reference/bundle.hpp, schur_diagonal_blocks).
     void schur_blocks(const std::vector<Buffer>& point_factors, Buffer& blocks);
 
-    // F vector += the sums that the runs of a segment left in run_sums: REAL, or double if is_double.
+    // F vector += the sums that the runs of a segment left in run_sums: REAL, or double if
+    // is_double.
     void reduce_runs(Step step, const DeviceSegment& segment, const Buffer& run_sums,
                      bool is_double, Buffer& f);
 
@@ -48,9 +49,9 @@ private:
     Queue& queue_;
     std::vector<Buffer> blocks_;
     std::vector<Buffer> product_;
-    std::vector<Buffer> weights_;   // made when schur_blocks is first asked for
+    std::vector<Buffer> weights_;     // made when schur_blocks is first asked for
     std::vector<Buffer> point_real_;  // 3 rows of REAL a chunk
-    Buffer run_sums_;               // of one segment at a time
+    Buffer run_sums_;                 // of one segment at a time
     Buffer run_blocks_;
 };
 

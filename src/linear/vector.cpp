@@ -7,7 +7,9 @@
 namespace clba {
 namespace {
 
-int32_t num_doubles(const Buffer& x) { return static_cast<int32_t>(x.bytes() / sizeof(double)); }
+int32_t num_doubles(const Buffer& x) {
+    return static_cast<int32_t>(x.bytes() / sizeof(double));
+}
 
 constexpr int64_t elements_per_group = 1024;  // fewer are not worth a group
 
@@ -113,15 +115,18 @@ double VectorOperations::pcg_step(double alpha, const Vector& p, const Vector& q
 }
 
 void VectorOperations::to_real(const Buffer& x, Buffer& y) {
-    queue_.launch(Step::vector, kernel("to_real"), num_groups(num_doubles(x)), num_doubles(x), x, y);
+    queue_.launch(Step::vector, kernel("to_real"), num_groups(num_doubles(x)), num_doubles(x), x,
+                  y);
 }
 
 void VectorOperations::from_real(const Buffer& x, Buffer& y) {
-    queue_.launch(Step::vector, kernel("from_real"), num_groups(num_doubles(y)), num_doubles(y), x, y);
+    queue_.launch(Step::vector, kernel("from_real"), num_groups(num_doubles(y)), num_doubles(y), x,
+                  y);
 }
 
 void VectorOperations::mask_constants(const Buffer& scale, Buffer& x) {
-    queue_.launch(Step::vector, kernel("mask_constants"), num_groups(num_doubles(x)), num_doubles(x), scale, x);
+    queue_.launch(Step::vector, kernel("mask_constants"), num_groups(num_doubles(x)),
+                  num_doubles(x), scale, x);
 }
 
 }  // namespace clba

@@ -27,8 +27,8 @@ struct Vector {
 };
 
 // Operations on vectors. Where one argument is reduced (F alone), the E side of the others is left
-// out. Sums are deterministic: a fixed number of work-groups leaves partials that the host adds up in
-// order.
+// out. Sums are deterministic: a fixed number of work-groups leaves partials that the host adds up
+// in order.
 class VectorOperations {
 public:
     // real_type: "float" or "double", the REAL of the kernels.
@@ -37,7 +37,7 @@ public:
     double dot(const Vector& x, const Vector& y);
     double squared_norm(const Buffer& x);                   // of doubles
     double squared_norm(const std::vector<Buffer>& reals);  // of REALs, all buffers together
-    double max_abs(const Vector& x);                                     // infinite if one is NaN
+    double max_abs(const Vector& x);                        // infinite if one is NaN
     void scale_and_add(double a, const Vector& x, double b, Vector& y);  // y = a x + b y
     void add_damping(double lambda, const Vector& d2, const Vector& x, Vector& y);
     // x += alpha p, r -= alpha q; returns x . (b + r).
@@ -50,7 +50,8 @@ public:
 private:
     Kernel& kernel(const char* name);
     int64_t num_groups(int64_t n) const;
-    // Partials of all parts of a vector like x, each launched by launch(part, groups, first partial).
+    // Partials of all parts of a vector like x, each launched by launch(part, groups, first
+    // partial).
     template <class Launch>
     const std::vector<double>& partials(const Vector& x, Launch&& launch);
     void reserve_partials(size_t num_parts);

@@ -15,9 +15,9 @@ Evaluator::Evaluator(DeviceProblem& problem, const Problem& host)
     uint64_t most_gradients = 0;
     for (const DeviceChunk& chunk : problem.chunks())
         for (const DeviceSegment& segment : chunk.segments)
-            most_gradients = std::max(most_gradients,
-                                      static_cast<uint64_t>(segment.num_runs) *
-                                          static_cast<uint64_t>(segment.num_columns));
+            most_gradients =
+                std::max(most_gradients, static_cast<uint64_t>(segment.num_runs) *
+                                             static_cast<uint64_t>(segment.num_columns));
     sums_.resize(static_cast<size_t>(sums_per_tile * problem.max_tiles_per_chunk()));
     tile_sums_ = Buffer(queue_, sums_.size() * sizeof(double), "cost of tiles");
     run_gradient_ = Buffer(queue_, most_gradients * sizeof(double), "gradients of runs");
@@ -26,8 +26,7 @@ Evaluator::Evaluator(DeviceProblem& problem, const Problem& host)
 Kernel& Evaluator::kernel(const char* path, const char* name, const DeviceSegment& segment) {
     const std::string defines =
         text("-DREAL=", real_type(problem_.precision()), " -DLOSS=", static_cast<int>(loss_.kind),
-             " -DWHITENED=", segment.whitening ? 1 : 0,
-             " -DIMAGE_RECORD=", 12 + max_camera_params);
+             " -DWHITENED=", segment.whitening ? 1 : 0, " -DIMAGE_RECORD=", 12 + max_camera_params);
     return queue_.kernel(path, name, defines,
                          text("camera_models/", camera_models[segment.model].name, ".clh"));
 }

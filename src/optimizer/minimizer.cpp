@@ -198,8 +198,8 @@ private:
         }
         if (gradient_max_norm_ <= options_.gradient_tolerance) {
             end(Termination::convergence, Reason::gradient_tolerance,
-                text("Gradient tolerance reached: |gradient| ", gradient_max_norm_, " <= ",
-                     options_.gradient_tolerance, "."));
+                text("Gradient tolerance reached: |gradient| ", gradient_max_norm_,
+                     " <= ", options_.gradient_tolerance, "."));
             return true;
         }
         if (row_.iteration == 0 || !row_.step_is_valid) return false;

@@ -28,8 +28,8 @@ struct MinimizerOptions {
 };
 
 // Minimises the cost by Levenberg-Marquardt from device.state, which holds the best state found at
-// the end, and fills the summary's rows, counts and times but for what surrounds the loop. `host` has
-// the problem's structure. start_seconds: wall time that passed before.
+// the end, and fills the summary's rows, counts and times but for what surrounds the loop. `host`
+// has the problem's structure. start_seconds: wall time that passed before.
 void minimize(const MinimizerOptions& options, const Problem& host, DeviceProblem& device,
               double start_seconds, Summary& summary);
 

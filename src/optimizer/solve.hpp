@@ -6,8 +6,9 @@
 
 namespace clba {
 
-// Refines a problem's state on a device. `device` is the problem's mirror: it is made if it is empty
-// or of another context or precision; it must be emptied when the problem's structure changes.
+// Refines a problem's state on a device. `device` is the problem's mirror: it is made if it is
+// empty or of another context or precision; it must be emptied when the problem's structure
+// changes.
 Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
               const MinimizerOptions& options, Precision precision,
               std::unique_ptr<DeviceProblem>& device);

@@ -37,8 +37,9 @@ struct Observation {
 
 enum ConstantPose : uint8_t { constant_rotation = 1, constant_position = 2 };
 
-// A bundle-adjustment problem on the host, in the caller's order. Plain data: whoever fills it calls
-// validate() before anything else reads it. Vectors marked optional are empty or one row each.
+// A bundle-adjustment problem on the host, in the caller's order. Plain data: whoever fills it
+// calls validate() before anything else reads it. Vectors marked optional are empty or one row
+// each.
 struct Problem {
     std::vector<Camera> cameras;
     std::vector<Image> images;
@@ -48,9 +49,9 @@ struct Problem {
     // Lower triangle xx, yx, yy of L^-1 with L L^T the observation's covariance. Optional.
     std::vector<std::array<double, 3>> whitening;
 
-    std::vector<uint8_t> constant_images;   // ConstantPose bits. Optional.
+    std::vector<uint8_t> constant_images;    // ConstantPose bits. Optional.
     std::vector<uint32_t> constant_cameras;  // bit k: parameter k. Optional.
-    std::vector<uint8_t> constant_points;   // Optional.
+    std::vector<uint8_t> constant_points;    // Optional.
 
     // Uncertainties c > 0 in tangent units. Optional.
     std::vector<std::array<double, num_pose_params>> image_uncertainties;

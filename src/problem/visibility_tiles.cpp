@@ -103,7 +103,8 @@ public:
             chunk.tile_num_points.push_back(num_points);
             const int32_t num_slots =
                 round_up(num_points + options_.lanes, static_cast<int32_t>(options_.lanes));
-            chunk.slot_point.insert(chunk.slot_point.end(), order.begin() + static_cast<long>(first),
+            chunk.slot_point.insert(chunk.slot_point.end(),
+                                    order.begin() + static_cast<long>(first),
                                     order.begin() + static_cast<long>(end));
             chunk.num_point_slots += num_slots;
             chunk.slot_point.resize(static_cast<size_t>(chunk.num_point_slots), -1);
@@ -127,15 +128,15 @@ private:
         const auto slots_after = [&](const Segment& segment) {
             return int64_t{segment.num_slots()} + num_observations + padding;
         };
-        uint64_t largest = (chunk.num_point_slots + end - first + 2 * options_.lanes) * 6 *
-                           sizeof(double);  // V
+        uint64_t largest =
+            (chunk.num_point_slots + end - first + 2 * options_.lanes) * 6 * sizeof(double);  // V
         int64_t most_slots = 0;
         for (const Segment& segment : chunk.segments) {
             const int64_t slots = slots_after(segment);
             most_slots = std::max(most_slots, slots);
             const int64_t values = 2 * segment.num_columns() + 6;
-            largest = std::max(largest, static_cast<uint64_t>(slots * values *
-                                                              options_.bytes_per_value));
+            largest =
+                std::max(largest, static_cast<uint64_t>(slots * values * options_.bytes_per_value));
         }
         return largest <= options_.max_buffer_bytes &&
                most_slots <= std::numeric_limits<int32_t>::max() / 32;
@@ -151,8 +152,7 @@ private:
                 const int32_t image = problem_.observations[row].image;
                 repeats_[image] = last_point_[image] == point ? repeats_[image] + 1 : 0;
                 last_point_[image] = point;
-                visits_.push_back(
-                    {image, repeats_[image], static_cast<uint16_t>(i - first), row});
+                visits_.push_back({image, repeats_[image], static_cast<uint16_t>(i - first), row});
             }
         }
     }

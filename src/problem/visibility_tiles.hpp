@@ -10,8 +10,8 @@ namespace clba {
 
 struct TileOptions {
     int32_t points_per_tile = 4096;
-    int lanes = 16;               // runs and tiles are padded to a multiple of this
-    int64_t bytes_per_value = 8;  // of a stored Jacobian
+    int lanes = 16;                          // runs and tiles are padded to a multiple of this
+    int64_t bytes_per_value = 8;             // of a stored Jacobian
     uint64_t max_buffer_bytes = UINT64_MAX;  // a chunk's largest buffer stays below this
 };
 
@@ -23,16 +23,17 @@ struct TileOptions {
 // the tile's spare point slots, a different one for each lane, and to no observation.
 struct Segment {
     int32_t model = 0;
-    std::vector<int32_t> tile_runs;   // first run of each tile of the chunk, and end
+    std::vector<int32_t> tile_runs;  // first run of each tile of the chunk, and end
     std::vector<int32_t> run_image;
-    std::vector<int32_t> run_slots;   // first slot of each run, and end
-    std::vector<uint16_t> slot_point;         // counted from the tile's first point slot
-    std::vector<int64_t> slot_observation;    // the caller's row, -1 for padding
+    std::vector<int32_t> run_slots;         // first slot of each run, and end
+    std::vector<uint16_t> slot_point;       // counted from the tile's first point slot
+    std::vector<int64_t> slot_observation;  // the caller's row, -1 for padding
     // For each parameter block that the segment touches: where it is, from which column of a run's
-    // sums it takes its part (0: pose, or pose with intrinsics; 6: shared intrinsics), and its runs.
-    std::vector<int32_t> block;        // index into ParameterLayout::blocks
+    // sums it takes its part (0: pose, or pose with intrinsics; 6: shared intrinsics), and its
+    // runs.
+    std::vector<int32_t> block;  // index into ParameterLayout::blocks
     std::vector<int32_t> block_column;
-    std::vector<int32_t> block_runs;   // first entry of each block in `runs`, and end
+    std::vector<int32_t> block_runs;  // first entry of each block in `runs`, and end
     std::vector<int32_t> runs;
 
     int32_t num_runs() const { return static_cast<int32_t>(run_image.size()); }

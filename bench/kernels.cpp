@@ -1,0 +1,156 @@
+// SPDX-License-Identifier: Apache-2.0
+// Nanoseconds per observation of every kernel family on the device that CLBA_DEVICE names, on a
+// generated scene of about a million observations:
+//   bench/kernels [--benchmark_filter=...] [--benchmark_repetitions=5]
+// CLBA_BENCH_SCENE: hall (default), street or landmark; CLBA_BENCH_OBSERVATIONS: about how many.
+#include <benchmark/benchmark.h>
+
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "base/error.hpp"
+#include "device/context.hpp"
+#include "device/program_cache.hpp"
+#include "linear/device_problem.hpp"
+#include "linear/normal_equations.hpp"
+#include "optimizer/evaluator.hpp"
+#include "reference/scene.hpp"
+
+namespace {
+
+using namespace clba;
+
+std::string environment(const char* name, const char* otherwise) {
+    const char* value = std::getenv(name);
+    return value && *value ? value : otherwise;
+}
+
+Problem bench_scene() {
+    SceneOptions options;
+    const std::string scene = environment("CLBA_BENCH_SCENE", "hall");
+    const double observations = std::stod(environment("CLBA_BENCH_OBSERVATIONS", "1e6"));
+    options.kind = scene == "street"     ? SceneKind::street
+                   : scene == "landmark" ? SceneKind::landmark
+                                         : SceneKind::hall;
+    options.num_images = scene == "street" ? 5000 : scene == "landmark" ? 1000 : 356;
+    options.observations_per_image = static_cast<int32_t>(observations / options.num_images);
+    options.seed = 1;
+    return generate_scene(options).start;
+}
+
+// Everything that the kernels work on, at the scene's start.
+struct Rig {
+    Rig(std::shared_ptr<Context> context, const Problem& scene, Precision precision)
+        : device(std::move(context), scene, precision),
+          evaluator((device.upload_state(scene), device), scene),
+          equations(device, DampingOptions()),
+          x(device.make_vector("x")),
+          y(device.make_vector("y")),
+          z(device.make_vector("z")),
+          schur_blocks(device.queue(), device.matrices_bytes(), "blocks"),
+          v(device.make_point_rows(6, sizeof(double), "v")) {
+        evaluator.linearize(equations);
+        equations.update_blocks();
+        equations.factor_points(1e-4);
+        equations.factor_images(1e-4, equations.u());
+        equations.apply_image_factors(equations.gradient, x);
+        equations.apply_point_factors(equations.gradient, x);
+        device.queue().finish();
+    }
+    DeviceProblem device;
+    Evaluator evaluator;
+    NormalEquations equations;
+    Vector x, y, z;
+    Buffer schur_blocks;
+    std::vector<Buffer> v;
+};
+
+using Work = std::function<void(Rig&)>;
+
+void measure(benchmark::State& state, Rig& rig, const Work& work) {
+    work(rig);  // the first launch may compile
+    rig.device.queue().finish();
+    double total_seconds = 0;
+    for (auto _ : state) {
+        const auto start = std::chrono::steady_clock::now();
+        work(rig);
+        rig.device.queue().finish();
+        const double seconds =
+            std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        state.SetIterationTime(seconds);
+        total_seconds += seconds;
+    }
+    state.counters["ns/obs"] = 1e9 * total_seconds / static_cast<double>(state.iterations()) /
+                               static_cast<double>(rig.device.num_observations());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    benchmark::Initialize(&argc, argv);
+    if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+    try {
+        ContextOptions options;
+        options.device = environment("CLBA_DEVICE", "");
+        options.cache_folder = ProgramCache::default_folder();
+        const auto context = std::make_shared<Context>(options);
+        const Problem scene = bench_scene();
+        std::printf("device %s; %d images, %d points, %lld observations\n",
+                    context->device().name.c_str(), scene.num_images(), scene.num_points(),
+                    static_cast<long long>(scene.num_observations()));
+        const std::pair<const char*, Work> works[] = {
+            {"residual", [](Rig& rig) { rig.evaluator.cost(rig.device.state, nullptr); }},
+            {"jacobian_and_gradient", [](Rig& rig) { rig.evaluator.linearize(rig.equations); }},
+            {"jx", [](Rig& rig) { rig.equations.jacobian.multiply(rig.x); }},
+            {"jty", [](Rig& rig) { rig.equations.jacobian.multiply_transposed(rig.y); }},
+            {"schur_product",
+             [](Rig& rig) {
+                 rig.equations.jacobian.schur_multiply(rig.x, rig.equations.point_factors(), rig.y);
+             }},
+            {"image_blocks",
+             [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},
+            {"point_blocks", [](Rig& rig) { rig.equations.jacobian.point_blocks(rig.v); }},
+            {"schur_blocks",
+             [](Rig& rig) {
+                 rig.equations.jacobian.schur_blocks(rig.equations.point_factors(),
+                                                     rig.schur_blocks);
+             }},
+            {"factor_points", [](Rig& rig) { rig.equations.factor_points(1e-4); }},
+            {"factor_images",
+             [](Rig& rig) { rig.equations.factor_images(1e-4, rig.equations.u()); }},
+            {"apply_point_factors",
+             [](Rig& rig) { rig.equations.apply_point_factors(rig.x, rig.y); }},
+            {"apply_image_factors",
+             [](Rig& rig) { rig.equations.apply_image_factors(rig.x, rig.y); }},
+            {"dot", [](Rig& rig) { rig.device.vectors().dot(rig.x, rig.y); }},
+            {"pcg_step",
+             [](Rig& rig) {
+                 rig.device.vectors().pcg_step(0.0, rig.x, rig.x, rig.x, rig.y, rig.z);
+             }},
+            {"update_state", [](Rig& rig) { rig.device.update(rig.x); }},
+        };
+        std::vector<std::unique_ptr<Rig>> rigs;
+        for (const Precision precision : {Precision::mixed, Precision::double_precision}) {
+            rigs.push_back(std::make_unique<Rig>(context, scene, precision));
+            const std::string prefix = precision == Precision::mixed ? "mixed/" : "double/";
+            for (const auto& [name, work] : works)
+                benchmark::RegisterBenchmark(
+                    (prefix + name).c_str(),
+                    [&rig = *rigs.back(), work = work](benchmark::State& state) {
+                        measure(state, rig, work);
+                    })
+                    ->UseManualTime()
+                    ->Unit(benchmark::kMillisecond);
+        }
+        benchmark::RunSpecifiedBenchmarks();
+    } catch (const Error& error) {
+        std::fprintf(stderr, "kernels: %s\n", error.what());
+        return 1;
+    }
+    return 0;
+}
