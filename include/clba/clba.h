@@ -430,6 +430,8 @@ CLBA_API clba_status clba_problem_get_offsets(const clba_problem* problem,
 typedef struct clba_evaluation {
     uint32_t struct_size;
     int32_t precision;       /* in: CLBA_PRECISION_DOUBLE by default */
+    int32_t apply_loss;      /* in: 1; 0 leaves the loss out, as if it were CLBA_LOSS_NONE */
+    int32_t reserved;        /* 0 */
     double cost;             /* out */
     int64_t num_behind;      /* out: observations of points behind their camera */
     int64_t num_singular;    /* out: observations in the camera's own plane */

@@ -500,6 +500,7 @@ clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, double sc
         require(!has_scale || (std::isfinite(scale) && scale > 0), "scale = ", scale,
                 ", but it must be finite and > 0");
         p.loss = {static_cast<LossKind>(loss), has_scale ? scale : 1.0};
+        return false;
     });
 }
 

@@ -210,6 +210,7 @@ clba_evaluation default_evaluation() {
     clba_evaluation evaluation{};
     evaluation.struct_size = sizeof evaluation;
     evaluation.precision = CLBA_PRECISION_DOUBLE;
+    evaluation.apply_loss = 1;
     return evaluation;
 }
 
@@ -244,7 +245,7 @@ void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots
 }
 
 void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& request) {
-    Evaluator evaluator(device, problem);
+    Evaluator evaluator(device, request.apply_loss ? problem.loss : Loss());
     std::vector<Buffer> residuals;
     if (request.residuals)
         residuals =

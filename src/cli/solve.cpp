@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <vector>
 
 #include "cli/commands.hpp"
 #include "cli/handles.hpp"
@@ -52,8 +55,26 @@ void write_states(const clba_problem* problem, const SolveArguments& arguments) 
     if (!arguments.ply.empty()) check(clba_problem_write_ply(problem, arguments.ply.c_str()));
 }
 
+// Of |r| without the loss, pixels.
+double median_residual(clba_problem* problem, clba_context* context, int32_t precision) {
+    const auto num_observations = static_cast<size_t>(info_of(problem).num_observations);
+    std::vector<double> residuals(2 * num_observations);
+    clba_evaluation evaluation = {};
+    check(clba_evaluation_init(&evaluation, sizeof evaluation));
+    evaluation.precision = precision;  // the one whose kernels are built
+    evaluation.apply_loss = 0;
+    evaluation.residuals = residuals.data();
+    check(clba_problem_evaluate(problem, context, &evaluation));
+    std::vector<double> norms(num_observations);
+    for (size_t i = 0; i < num_observations; ++i)
+        norms[i] = std::hypot(residuals[2 * i], residuals[2 * i + 1]);
+    const auto middle = norms.begin() + static_cast<std::ptrdiff_t>(num_observations / 2);
+    std::nth_element(norms.begin(), middle, norms.end());
+    return *middle;
+}
+
 Json summary_json(const SolveArguments& arguments, const clba_problem* problem,
-                  const clba_result* result) {
+                  const clba_result* result, double median) {
     const clba_problem_info info = info_of(problem);
     Json json = {
         {"file", arguments.file},
@@ -62,6 +83,7 @@ Json summary_json(const SolveArguments& arguments, const clba_problem* problem,
         {"observations", info.num_observations},
         {"loss", clba_loss_name(arguments.loss)},
         {"loss_scale", arguments.loss_scale},
+        {"median_residual", median},
     };
     json.update(Json::parse(clba_result_json(result)));
     return json;
@@ -88,9 +110,13 @@ ExitCode solve(const SolveArguments& arguments) {
     const Result result =
         run_solver(problem.get(), context.get(), arguments.options, arguments.quiet);
     write_states(problem.get(), arguments);
-    Json json = summary_json(arguments, problem.get(), result.get());
+    const double median =
+        median_residual(problem.get(), context.get(), arguments.options.precision);
+    Json json = summary_json(arguments, problem.get(), result.get(), median);
     write_json(arguments.json, json);
-    if (!arguments.quiet) std::printf("\n%s", clba_result_report(result.get()));
+    if (!arguments.quiet)
+        std::printf("\n%sMedian residual              %.4g pixels\n",
+                    clba_result_report(result.get()), median);
 
     const clba_summary summary = summary_of(result.get());
     if (arguments.verify && exit_code_of(summary) == ExitCode::ok) {

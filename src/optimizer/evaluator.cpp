@@ -10,8 +10,8 @@ constexpr int sums_per_tile = 4;  // kernels/residual.cl
 
 }  // namespace
 
-Evaluator::Evaluator(DeviceProblem& problem, const Problem& host)
-    : problem_(problem), queue_(problem.queue()), loss_(host.loss) {
+Evaluator::Evaluator(DeviceProblem& problem, const Loss& loss)
+    : problem_(problem), queue_(problem.queue()), loss_(loss) {
     uint64_t most_gradients = 0;
     for (const DeviceChunk& chunk : problem.chunks())
         for (const DeviceSegment& segment : chunk.segments)

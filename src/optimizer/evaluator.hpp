@@ -18,7 +18,8 @@ struct CostEvaluation {
 // Residuals, cost and derivatives of a problem's states.
 class Evaluator {
 public:
-    Evaluator(DeviceProblem& problem, const Problem& host);
+    Evaluator(DeviceProblem& problem, const Loss& loss);
+    Evaluator(DeviceProblem& problem, const Problem& host) : Evaluator(problem, host.loss) {}
 
     // residuals: NULL, or slots of 2 rows of doubles for sqrt(rho') r.
     CostEvaluation cost(const State& state, std::vector<Buffer>* residuals);

@@ -93,7 +93,8 @@ public:
             const size_t end =
                 std::min(order.size(), first + static_cast<size_t>(options_.points_per_tile));
             const auto num_points = static_cast<int32_t>(end - first);
-            if (!tile_fits(order, first, end, observations, chunk)) {
+            collect_visits(order, first, end, observations);
+            if (!tile_fits(num_points, chunk)) {
                 if (chunk.num_tiles() > 0) return first;
                 fail(Status::out_of_memory, "a tile of ", num_points,
                      " points does not fit one buffer of ", options_.max_buffer_bytes,
@@ -108,7 +109,6 @@ public:
                                     order.begin() + static_cast<long>(end));
             chunk.num_point_slots += num_slots;
             chunk.slot_point.resize(static_cast<size_t>(chunk.num_point_slots), -1);
-            collect_visits(order, first, end, observations);
             for (Segment& segment : chunk.segments) append_runs(segment, num_points);
             first = end;
         }
@@ -116,27 +116,28 @@ public:
     }
 
 private:
-    bool tile_fits(const std::vector<int32_t>& order, size_t first, size_t end,
-                   const PointObservations& observations, const Chunk& chunk) const {
-        int64_t num_observations = 0;
-        for (size_t i = first; i < end; ++i)
-            num_observations += observations.begin[order[i] + 1] - observations.begin[order[i]];
-        // At worst every observation is a run of its own, which padding blows up by `lanes`; runs
-        // that are mostly padding are rare, so one padded run an image is allowed for.
-        const int64_t padding =
-            std::min<int64_t>(num_observations, problem_.num_images()) * options_.lanes;
-        const auto slots_after = [&](const Segment& segment) {
-            return int64_t{segment.num_slots()} + num_observations + padding;
-        };
+    // Whether the tile of `visits_` fits beside what the chunk has. At worst each image has a run
+    // for its first sights of points, every other sight is a run of its own, and each run is
+    // padded.
+    bool tile_fits(int32_t num_points, const Chunk& chunk) const {
+        const auto num_visits = static_cast<int64_t>(visits_.size());
+        const int64_t num_again = std::count_if(
+            visits_.begin(), visits_.end(), [](const Visit& visit) { return visit.repeat > 0; });
+        const int64_t num_runs =
+            std::min<int64_t>(num_visits - num_again, problem_.num_images()) + num_again;
         uint64_t largest =
-            (chunk.num_point_slots + end - first + 2 * options_.lanes) * 6 * sizeof(double);  // V
+            static_cast<uint64_t>(chunk.num_point_slots + num_points + 2 * options_.lanes) * 6 *
+            sizeof(double);  // V
         int64_t most_slots = 0;
         for (const Segment& segment : chunk.segments) {
-            const int64_t slots = slots_after(segment);
+            const int64_t slots = segment.num_slots() + num_visits + num_runs * options_.lanes;
             most_slots = std::max(most_slots, slots);
-            const int64_t values = 2 * segment.num_columns() + 6;
-            largest =
-                std::max(largest, static_cast<uint64_t>(slots * values * options_.bytes_per_value));
+            const int64_t columns = segment.num_columns();
+            const int64_t jacobian = slots * (2 * columns + 6) * options_.bytes_per_value;
+            const int64_t run_blocks = (segment.num_runs() + num_runs) * columns * (columns + 1) /
+                                       2 * static_cast<int64_t>(sizeof(double));
+            largest = std::max(
+                {largest, static_cast<uint64_t>(jacobian), static_cast<uint64_t>(run_blocks)});
         }
         return largest <= options_.max_buffer_bytes &&
                most_slots <= std::numeric_limits<int32_t>::max() / 32;
@@ -155,6 +156,8 @@ private:
                 visits_.push_back({image, repeats_[image], static_cast<uint16_t>(i - first), row});
             }
         }
+        // The same tile may be collected again, for the next chunk.
+        for (const Visit& visit : visits_) last_point_[visit.image] = -1;
     }
 
     // Groups the tile's visits by (repeat, image): counting sort for the first time an image sees a
