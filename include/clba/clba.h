@@ -318,9 +318,11 @@ typedef struct clba_solver_options {
     double parameter_tolerance;   /* stop if |step| <= this * (|x| + this); 1e-8 */
     double target_cost;           /* stop if cost <= this; 0 */
     double max_seconds;           /* > 0; time budget; infinite */
-    double eta; /* forcing term of the inexact step, (0, 1): PCG stops when an iteration improves
-                   the quadratic model by less than eta / iterations, relatively (Ceres'
-                   Q-test; Nash and Sofer 1990); 0.1 */
+    double eta; /* forcing term of the inexact step, < 1: PCG stops when an iteration improves the
+                   quadratic model by less than eta / iterations, relatively (Ceres' Q-test; Nash
+                   and Sofer 1990). 0 chooses by the preconditioner: 0.1 for schur_jacobi, 0.01 for
+                   block_jacobi of pcg_schur, 0.001 for pcg_hessian, as the weaker ones make small
+                   early progress that would end a looser test; 0 */
     clba_iteration_fn on_iteration; /* or NULL */
     void* user_data;                /* passed to on_iteration, never read */
 } clba_solver_options;
@@ -366,6 +368,7 @@ typedef struct clba_summary {
     int64_t num_singular; /* observations in the camera's own plane at the end: these keep a
                              constant residual and no derivative */
     int64_t num_indefinite_blocks; /* met while inverting, summed over the solve */
+    double eta;                    /* the one used; 0 for direct_schur */
     double initial_cost;
     double final_cost;           /* as the device computed it */
     double reference_final_cost; /* the same state, by the serial fp64 reference on the host */

@@ -60,9 +60,9 @@ CLBA_SAME_STATUS(no_plugin, CLBA_ERROR_NO_PLUGIN)
 
 }  // namespace
 
-void set_last_error(const std::string& message) noexcept {
+void set_last_error(std::string_view message, std::string_view more) noexcept {
     try {
-        last_error = message;
+        last_error.assign(message).append(more);
     } catch (...) {
         last_error.clear();
     }

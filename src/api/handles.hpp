@@ -7,6 +7,7 @@
 #include <memory>
 #include <new>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "base/error.hpp"
@@ -36,7 +37,7 @@ struct clba_result {
 
 namespace clba {
 
-void set_last_error(const std::string& message) noexcept;
+void set_last_error(std::string_view message, std::string_view more = "") noexcept;
 
 // Runs the body of an exported function and turns what it throws into a status and a message.
 template <class Body>
@@ -55,7 +56,7 @@ clba_status guarded(Body&& body) noexcept {
         set_last_error("out of memory on the host: a size is beyond what can be allocated");
         return CLBA_ERROR_OUT_OF_MEMORY;
     } catch (const std::exception& error) {
-        set_last_error(std::string("internal error: ") + error.what());
+        set_last_error("internal error: ", error.what());
         return CLBA_ERROR_INTERNAL;
     } catch (...) {
         set_last_error("internal error");

@@ -111,7 +111,8 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
     append(text, "Linear solver                %s\n", clba_linear_solver_name(s.linear_solver));
     append(text, "Preconditioner               %s\n", preconditioner_name(s));
     append(text, "Damping                      %s\n", clba_damping_name(s.damping));
-    append(text, "Precision                    %s\n\n", clba_precision_name(s.precision));
+    append(text, "Precision                    %s\n", clba_precision_name(s.precision));
+    append(text, "Forcing term                 %g\n\n", s.eta);
 
     append(text, "Cost\n");
     append(text, "  initial                    %.9e\n", s.initial_cost);
@@ -159,6 +160,7 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
         {"preconditioner", preconditioner_name(s)},
         {"damping", clba_damping_name(s.damping)},
         {"precision", clba_precision_name(s.precision)},
+        {"eta", s.eta},
         {"termination", termination_name(s.termination)},
         {"reason", reason_name(s.reason)},
         {"message", s.message},

@@ -36,7 +36,6 @@ clba_solver_options default_solver_options() {
     options.parameter_tolerance = defaults.parameter_tolerance;
     options.target_cost = defaults.target_cost;
     options.max_seconds = defaults.max_seconds;
-    options.eta = defaults.linear_solver.eta;
     return options;
 }
 
@@ -72,6 +71,13 @@ Preconditioner used_preconditioner(const clba_solver_options& given) {
     }
 }
 
+// The forcing term that ended in the right basin, at the least time, on real problems
+// (docs/results.md): steps cut short by a weak preconditioner let points run away.
+double default_eta(const LinearSolverOptions& options) {
+    if (options.kind == LinearSolverKind::pcg_hessian) return 1e-3;
+    return options.preconditioner == Preconditioner::block_jacobi ? 1e-2 : 0.1;
+}
+
 Precision checked_precision(int32_t precision) {
     require_named(clba_precision_name(precision), "precision", precision);
     return static_cast<Precision>(precision);
@@ -102,14 +108,15 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     require(given.min_damping_diagonal <= given.max_damping_diagonal,
             "min_damping_diagonal = ", given.min_damping_diagonal,
             ", but it must be <= max_damping_diagonal = ", given.max_damping_diagonal);
-    require(given.eta > 0 && given.eta < 1, "eta = ", given.eta, ", but it must be in (0, 1)");
+    require(given.eta >= 0 && given.eta < 1, "eta = ", given.eta,
+            ", but it must be in (0, 1), or 0 for the default");
 
     MinimizerOptions options;
     options.linear_solver.kind = static_cast<LinearSolverKind>(given.linear_solver);
     options.linear_solver.preconditioner = used_preconditioner(given);
     options.linear_solver.min_iterations = given.min_linear_solver_iterations;
     options.linear_solver.max_iterations = given.max_linear_solver_iterations;
-    options.linear_solver.eta = given.eta;
+    options.linear_solver.eta = given.eta > 0 ? given.eta : default_eta(options.linear_solver);
     options.damping.policy = static_cast<Damping>(given.damping);
     options.damping.min_diagonal = given.min_damping_diagonal;
     options.damping.max_diagonal = given.max_damping_diagonal;
@@ -170,6 +177,7 @@ clba_summary public_summary(const Summary& summary) {
     out.num_behind_final = summary.num_behind_final;
     out.num_singular = summary.num_singular;
     out.num_indefinite_blocks = summary.num_indefinite_blocks;
+    out.eta = summary.eta;
     out.initial_cost = summary.initial_cost;
     out.final_cost = summary.final_cost;
     out.reference_final_cost = summary.reference_final_cost;
@@ -244,8 +252,9 @@ void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots
                              });
 }
 
+// The caller's arrays are written last, when nothing can fail any more.
 void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& request) {
-    Evaluator evaluator(device, request.apply_loss ? problem.loss : Loss());
+    Evaluator evaluator(device, problem);
     std::vector<Buffer> residuals;
     if (request.residuals)
         residuals =
@@ -255,21 +264,33 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     request.cost = evaluation.cost;
     request.num_behind = evaluation.num_behind;
     request.num_singular = evaluation.num_singular;
-    if (request.residuals) download_rows<double>(device, residuals, request.residuals);
-    if (!request.gradient && !request.jacobian_images && !request.jacobian_points) return;
-    NormalEquations equations(device, DampingOptions());
-    evaluator.linearize(equations);
-    if (request.gradient) device.download(equations.gradient, request.gradient);
-    if (!request.jacobian_images && !request.jacobian_points) return;
-    reference::Jacobian jacobian = empty_jacobian(problem, device.layout());
-    download_jacobian(device, equations.jacobian, jacobian);
-    zero_constant_columns(problem, device.layout(), jacobian);
-    if (request.jacobian_images)
-        std::copy(jacobian.image_blocks.begin(), jacobian.image_blocks.end(),
-                  request.jacobian_images);
-    if (request.jacobian_points)
-        std::copy(jacobian.point_blocks.begin(), jacobian.point_blocks.end(),
-                  request.jacobian_points);
+    std::vector<double> host_residuals, gradient;
+    if (request.residuals) {
+        host_residuals.resize(2 * static_cast<size_t>(problem.num_observations()));
+        download_rows<double>(device, residuals, host_residuals.data());
+    }
+    const bool wants_jacobian = request.jacobian_images || request.jacobian_points;
+    reference::Jacobian jacobian;
+    if (request.gradient || wants_jacobian) {
+        NormalEquations equations(device, DampingOptions());
+        evaluator.linearize(equations);
+        if (request.gradient) {
+            gradient.resize(static_cast<size_t>(device.layout().num_parameters(problem)));
+            device.download(equations.gradient, gradient.data());
+        }
+        if (wants_jacobian) {
+            jacobian = empty_jacobian(problem, device.layout());
+            download_jacobian(device, equations.jacobian, jacobian);
+            zero_constant_columns(problem, device.layout(), jacobian);
+        }
+    }
+    const auto copy = [](const std::vector<double>& from, double* to) {
+        if (to) std::copy(from.begin(), from.end(), to);
+    };
+    copy(host_residuals, request.residuals);
+    copy(gradient, request.gradient);
+    copy(jacobian.image_blocks, request.jacobian_images);
+    copy(jacobian.point_blocks, request.jacobian_points);
 }
 
 // Sets the entries of constant parameters to 0.
@@ -280,25 +301,28 @@ void mask_constants(DeviceProblem& device, Vector& vector) {
             device.vectors().mask_constants(device.chunks()[c].point_scale, vector.e[c]);
 }
 
-void multiply(const Problem& problem, DeviceProblem& device, int32_t product, double lambda,
-              const double* x, double* y) {
+std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int32_t product,
+                             double lambda, const double* x) {
     Evaluator evaluator(device, problem);
     NormalEquations equations(device, DampingOptions());
     evaluator.linearize(equations);
     const bool is_double = device.precision() == Precision::double_precision;
     std::vector<Buffer>& slots = equations.jacobian.product();
     Vector vector = device.make_vector("a product's argument");
+    std::vector<double> y(product == CLBA_PRODUCT_JX
+                              ? 2 * static_cast<size_t>(problem.num_observations())
+                              : static_cast<size_t>(device.layout().num_parameters(problem)));
     if (product == CLBA_PRODUCT_JX) {
         device.upload(x, vector);
         mask_constants(device, vector);
         equations.jacobian.multiply(vector);
-        is_double ? download_rows<double>(device, slots, y)
-                  : download_rows<float>(device, slots, y);
+        is_double ? download_rows<double>(device, slots, y.data())
+                  : download_rows<float>(device, slots, y.data());
     } else if (product == CLBA_PRODUCT_JTY) {
         is_double ? upload_rows<double>(x, device, slots) : upload_rows<float>(x, device, slots);
         equations.jacobian.multiply_transposed(vector);
         mask_constants(device, vector);
-        device.download(vector, y);
+        device.download(vector, y.data());
     } else {
         equations.update_blocks();
         const int64_t failures =
@@ -311,8 +335,9 @@ void multiply(const Problem& problem, DeviceProblem& device, int32_t product, do
         Vector result = device.make_vector("a product");
         equations.apply_image_factors(vector, result);
         equations.apply_point_factors(vector, result);
-        device.download(result, y);
+        device.download(result, y.data());
     }
+    return y;
 }
 
 }  // namespace
@@ -462,7 +487,9 @@ clba_status clba_problem_multiply(clba_problem* problem, clba_context* context, 
         require(std::isfinite(lambda) && lambda >= 0, "lambda = ", lambda,
                 ", but it must be finite and >= 0");
         with_mirror(problem, context, checked_precision(precision), [&](DeviceProblem& device) {
-            multiply(problem->problem, device, product, lambda, x, y);
+            const std::vector<double> result =
+                multiply(problem->problem, device, product, lambda, x);
+            std::copy(result.begin(), result.end(), y);
         });
     });
 }

@@ -37,6 +37,7 @@ private:
 template <class... Parts>
 std::string text(const Parts&... parts) {
     std::ostringstream stream;
+    stream.exceptions(std::ios::badbit);  // without memory a stream would silently cut the text
     stream.precision(10);
     (stream << ... << parts);
     return stream.str();

@@ -167,7 +167,9 @@ void add_limits(CLI::App& command, clba_solver_options& options) {
         ->capture_default_str();
     command.add_option("--time-limit", options.max_seconds, "limit on seconds of the solve")
         ->check(positive_number);
-    command.add_option("--eta", options.eta, "forcing term of the inexact step, between 0 and 1")
+    command
+        .add_option("--eta", options.eta,
+                    "forcing term of the inexact step, below 1; 0: by the preconditioner")
         ->capture_default_str();
     command
         .add_option("--function-tolerance", options.function_tolerance,

@@ -93,7 +93,7 @@ Context::Context(const ContextOptions& options) : cache_(options.cache_folder) {
 
 Context::~Context() {
     OpenCl& cl = opencl();
-    for (const auto& [key, program] : programs_) cl.clReleaseProgram(program);
+    programs_.clear();
     if (caller_queue_) cl.clReleaseCommandQueue(caller_queue_);
     cl.clReleaseContext(context_);
 }
@@ -103,17 +103,21 @@ _cl_program* Context::program(const std::string& path, const std::string& camera
     const std::lock_guard lock(mutex_);
     const std::string key = path + '\n' + camera_model_path + '\n' + options;
     const auto found = programs_.find(key);
-    if (found != programs_.end()) return found->second;
+    if (found != programs_.end()) return found->second.get();
     const auto start = std::chrono::steady_clock::now();
-    _cl_program* program = build(kernel_source(path, camera_model_path), options);
-    programs_.emplace(key, program);
+    ProgramHandle program = build(kernel_source(path, camera_model_path), options);
+    _cl_program* const kept = programs_.emplace(key, std::move(program)).first->second.get();
     build_seconds_ =
         build_seconds_ +
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    return program;
+    return kept;
 }
 
-_cl_program* Context::build(const std::string& source, const std::string& options) {
+void Context::ReleaseProgram::operator()(_cl_program* program) const {
+    opencl().clReleaseProgram(program);
+}
+
+Context::ProgramHandle Context::build(const std::string& source, const std::string& options) {
     OpenCl& cl = opencl();
     const std::string key = text(CLBA_VERSION, '\n', options, '\n', device_.platform, '\n',
                                  device_.platform_version, '\n', device_.vendor, '\n', device_.name,
@@ -123,27 +127,24 @@ _cl_program* Context::build(const std::string& source, const std::string& option
         const size_t bytes = binary.size();
         const unsigned char* pointer = binary.data();
         cl_int status = CL_SUCCESS, error = CL_SUCCESS;
-        cl_program program = cl.clCreateProgramWithBinary(context_, 1, &device_.id, &bytes,
-                                                          &pointer, &status, &error);
+        ProgramHandle program(cl.clCreateProgramWithBinary(context_, 1, &device_.id, &bytes,
+                                                           &pointer, &status, &error));
         if (error == CL_SUCCESS && status == CL_SUCCESS &&
-            cl.clBuildProgram(program, 1, &device_.id, options.c_str(), nullptr, nullptr) ==
+            cl.clBuildProgram(program.get(), 1, &device_.id, options.c_str(), nullptr, nullptr) ==
                 CL_SUCCESS)
             return program;
-        if (error == CL_SUCCESS) cl.clReleaseProgram(program);
     }
     const char* pointer = source.c_str();
     const size_t bytes = source.size();
     cl_int error = CL_SUCCESS;
-    cl_program program = cl.clCreateProgramWithSource(context_, 1, &pointer, &bytes, &error);
+    ProgramHandle program(cl.clCreateProgramWithSource(context_, 1, &pointer, &bytes, &error));
     check_opencl(error, "clCreateProgramWithSource");
-    error = cl.clBuildProgram(program, 1, &device_.id, options.c_str(), nullptr, nullptr);
-    if (error != CL_SUCCESS) {
-        const std::string log = build_log(program, device_.id);
-        cl.clReleaseProgram(program);
+    error = cl.clBuildProgram(program.get(), 1, &device_.id, options.c_str(), nullptr, nullptr);
+    if (error != CL_SUCCESS)
         fail(Status::kernel_build, "clBuildProgram failed with ", opencl_error_name(error), " on ",
-             device_.name, " with the options '", options, "':\n", log);
-    }
-    const std::vector<unsigned char> compiled = program_binary(program);
+             device_.name, " with the options '", options, "':\n",
+             build_log(program.get(), device_.id));
+    const std::vector<unsigned char> compiled = program_binary(program.get());
     if (!compiled.empty()) cache_.store(key, compiled);
     return program;
 }

@@ -60,7 +60,11 @@ public:
     _cl_command_queue* caller_queue() const { return caller_queue_; }
 
 private:
-    _cl_program* build(const std::string& source, const std::string& options);
+    struct ReleaseProgram {
+        void operator()(_cl_program* program) const;
+    };
+    using ProgramHandle = std::unique_ptr<_cl_program, ReleaseProgram>;
+    ProgramHandle build(const std::string& source, const std::string& options);
 
     DeviceInfo device_;
     uint64_t max_allocation_bytes_ = 0;
@@ -68,7 +72,7 @@ private:
     _cl_context* context_ = nullptr;
     _cl_command_queue* caller_queue_ = nullptr;
     std::mutex mutex_;  // guards programs_
-    std::map<std::string, _cl_program*> programs_;
+    std::map<std::string, ProgramHandle> programs_;
     std::atomic<double> build_seconds_{0};
 };
 

@@ -65,7 +65,7 @@ std::vector<DeviceInfo> list_devices() {
     cl_uint num_platforms = 0;
     const cl_int error = cl.clGetPlatformIDs(0, nullptr, &num_platforms);
     constexpr cl_int platform_not_found = -1001;  // CL_PLATFORM_NOT_FOUND_KHR, from the loader
-    if (error == platform_not_found || num_platforms == 0) return {};
+    if (error == platform_not_found) return {};
     check_opencl(error, "clGetPlatformIDs");
     std::vector<cl_platform_id> platforms(num_platforms);
     check_opencl(cl.clGetPlatformIDs(num_platforms, platforms.data(), nullptr), "clGetPlatformIDs");

@@ -45,10 +45,13 @@ Kernel& Queue::kernel(const std::string& path, const std::string& name, const st
     if (!tuning().vectorize) options += " -DNO_VECTORIZE";
     if (!defines.empty()) options += ' ' + defines;
     _cl_program* program = context_->program(path, camera_model_path, options);
+    // Its place comes first: if there is no memory for that, there is no kernel to release either.
+    const auto place = kernels_.emplace(key, Kernel{nullptr, name}).first;
     cl_int error = CL_SUCCESS;
-    cl_kernel handle = opencl().clCreateKernel(program, name.c_str(), &error);
+    place->second.handle = opencl().clCreateKernel(program, name.c_str(), &error);
+    if (error != CL_SUCCESS) kernels_.erase(place);
     check_opencl(error, "clCreateKernel", name);
-    return kernels_.emplace(key, Kernel{handle, name}).first->second;
+    return place->second;
 }
 
 void Queue::set_bytes(Kernel& kernel, unsigned index, size_t bytes, const void* value) {
@@ -82,13 +85,14 @@ void Queue::set_argument(Kernel& kernel, unsigned index, double value) {
 void Queue::enqueue(Step step, Kernel& kernel, int64_t groups) {
     const auto local = static_cast<size_t>(tuning().work_group_size);
     const size_t global = static_cast<size_t>(groups) * local;
+    constexpr size_t many_events = 4096;
+    if (has_profiling_) events_.reserve(many_events);
     cl_event event = nullptr;
     const cl_int error =
         opencl().clEnqueueNDRangeKernel(queue_, kernel.handle, 1, nullptr, &global, &local, 0,
                                         nullptr, has_profiling_ ? &event : nullptr);
     if (error != CL_SUCCESS) check_opencl(error, "clEnqueueNDRangeKernel", kernel.name);
     if (event) events_.emplace_back(step, event);
-    constexpr size_t many_events = 4096;
     if (events_.size() >= many_events) finish();
 }
 

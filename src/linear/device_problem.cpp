@@ -223,24 +223,29 @@ void DeviceProblem::upload_state(const Problem& problem) {
 }
 
 void DeviceProblem::download_state(Problem& problem) const {
-    const auto poses = state.poses.map_read<double>();
+    // All is mapped before the first value is written, so that an error leaves the state whole.
+    using Rows = Buffer::Mapping<const double>;
+    const Rows poses = state.poses.map_read<double>();
+    const Rows params = state.camera_params.map_read<double>();
+    std::vector<std::unique_ptr<const Rows>> points(chunks_.size());
+    for (size_t c = 0; c < chunks_.size(); ++c)
+        points[c].reset(new Rows(state.points[c].map_read<double>()));
+
     for (int32_t i = 0; i < num_images_; ++i) {
         Pose& pose = problem.images[i].pose;
         std::copy_n(&poses[7 * int64_t{i}], 4, pose.rotation.begin());
         std::copy_n(&poses[7 * int64_t{i} + 4], 3, pose.translation.begin());
     }
-    const auto params = state.camera_params.map_read<double>();
     for (int32_t c = 0; c < num_cameras_; ++c)
         std::copy_n(&params[max_camera_params * int64_t{c}], max_camera_params,
                     problem.cameras[c].params.begin());
     for (size_t c = 0; c < chunks_.size(); ++c) {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
-        const auto rows = state.points[c].map_read<double>();
         for (int64_t slot = 0; slot < n; ++slot)
             if (slot_point[slot] >= 0)
                 for (int k = 0; k < 3; ++k)
-                    problem.points[slot_point[slot]][k] = rows[k * n + slot];
+                    problem.points[slot_point[slot]][k] = (*points[c])[k * n + slot];
     }
 }
 

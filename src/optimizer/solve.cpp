@@ -38,6 +38,8 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     Summary summary;
     summary.linear_solver = options.linear_solver.kind;
     summary.preconditioner = options.linear_solver.preconditioner;
+    if (options.linear_solver.kind != LinearSolverKind::direct_schur)
+        summary.eta = options.linear_solver.eta;
     summary.damping = options.damping.policy;
     summary.precision = precision;
     summary.device = context->device().name;

@@ -51,6 +51,7 @@ struct Summary {
     Preconditioner preconditioner = Preconditioner::none;
     Damping damping = Damping::marquardt;
     Precision precision = Precision::mixed;
+    double eta = 0;
     int num_accepted_steps = 0, num_rejected_steps = 0, num_invalid_steps = 0;
     int num_linear_solver_iterations = 0;
     int64_t num_behind_initial = 0, num_behind_final = 0, num_singular = 0;

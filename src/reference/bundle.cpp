@@ -3,6 +3,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
 
 #include "reference/camera_models.hpp"
@@ -230,6 +231,24 @@ NormalBlocks normal_blocks(const Problem& problem, const ParameterLayout& layout
             j_point.transpose() * j_point;
     }
     return blocks;
+}
+
+std::vector<double> damping_diagonal(int policy, double smallest, double largest,
+                                     const std::vector<double>& scale,
+                                     const std::vector<double>& diagonal,
+                                     const std::vector<double>& initial_diagonal) {
+    std::vector<double> d2(scale.size(), 0.0);
+    for (size_t i = 0; i < d2.size(); ++i) {
+        const double c = scale[i];
+        if (c == 0) continue;
+        if (policy == 1)
+            d2[i] = std::min(std::max(c * c * diagonal[i], smallest), largest) / (c * c);
+        else if (policy == 2)
+            d2[i] = std::pow((1 + std::sqrt(initial_diagonal[i])) / c, 2);
+        else
+            d2[i] = 1 / (c * c);
+    }
+    return d2;
 }
 
 bool inverse_factor(int n, const double* a, const double* scale, double* g) {

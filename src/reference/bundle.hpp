@@ -48,6 +48,13 @@ struct NormalBlocks {
 NormalBlocks normal_blocks(const Problem& problem, const ParameterLayout& layout,
                            const Jacobian& jacobian);
 
+// D^2 of each scalar (clba.h, CLBA_DAMPING_*; policy is its number), 0 where scale is 0. diagonal
+// is that of J^T J, initial_diagonal the same at the first linearisation.
+std::vector<double> damping_diagonal(int policy, double smallest, double largest,
+                                     const std::vector<double>& scale,
+                                     const std::vector<double>& diagonal,
+                                     const std::vector<double>& initial_diagonal);
+
 // Inverse Cholesky factors: for a positive definite A = L L^T of n x n (row-major), G = L^-1, so
 // that A^-1 = G^T G; rows and columns with scale 0 (constant parameters) are left out of A, and 0
 // in G. scale nullptr keeps all. Returns false, and leaves g all 0, if A is not positive definite
