@@ -44,7 +44,7 @@ SOLVERS = [
     ("direct_schur", None),
 ]
 PRECISIONS = ["mixed", "double"]
-MAX_ITERATIONS = 200
+MAX_ITERATIONS = 50  # the default
 
 
 def solve(clba, path, solver, preconditioner, precision, extra=()):
@@ -127,7 +127,7 @@ Made by `bench/real_problems.py build/release/bin/clba` on {device}.
 The cost is 1/2 sum |r|^2 without a loss, all nine parameters of each image free, evaluated by the
 serial fp64 reference. Excess is against Ceres (sparse_schur, fp64, up to 200 iterations). A solve is
 held to be right if it ends within 1e-3 of Ceres or below it, within 1e-2 where Ceres had not
-converged. At most {MAX_ITERATIONS} iterations, all other options at their defaults. Seconds are of
+converged. At most {MAX_ITERATIONS} iterations, as all other options at their defaults. Seconds are of
 one run on a shared machine with two cores, without compiling kernels: read them as orders of size.
 
 | problem | images / points / observations | start | Ceres |

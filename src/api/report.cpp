@@ -3,7 +3,8 @@
 
 #include <cstdarg>
 #include <cstdio>
-#include <nlohmann/json.hpp>
+
+#include "api/json_writer.hpp"
 
 namespace clba {
 namespace {
@@ -154,52 +155,55 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
 }
 
 std::string report_json(const clba_summary& s, const std::vector<clba_iteration>& rows) {
-    nlohmann::ordered_json json = {
-        {"device", s.device},
-        {"linear_solver", clba_linear_solver_name(s.linear_solver)},
-        {"preconditioner", preconditioner_name(s)},
-        {"damping", clba_damping_name(s.damping)},
-        {"precision", clba_precision_name(s.precision)},
-        {"eta", s.eta},
-        {"termination", termination_name(s.termination)},
-        {"reason", reason_name(s.reason)},
-        {"message", s.message},
-        {"initial_cost", s.initial_cost},
-        {"final_cost", s.final_cost},
-        {"reference_final_cost", s.reference_final_cost},
-        {"num_iterations", s.num_iterations},
-        {"num_accepted_steps", s.num_accepted_steps},
-        {"num_rejected_steps", s.num_rejected_steps},
-        {"num_invalid_steps", s.num_invalid_steps},
-        {"num_linear_solver_iterations", s.num_linear_solver_iterations},
-        {"num_behind_initial", s.num_behind_initial},
-        {"num_behind_final", s.num_behind_final},
-        {"num_singular", s.num_singular},
-        {"num_indefinite_blocks", s.num_indefinite_blocks},
-        {"peak_device_bytes", s.peak_device_bytes},
-        // What is left of the total once kernels are built: what a second solve would take.
-        {"solve_seconds", s.total_seconds - s.build_seconds - s.reference_seconds},
-        {"total_seconds", s.total_seconds},
-    };
-    for (const NamedSeconds& time : wall_times(s)) json[time.field] = time.seconds;
-    for (const NamedSeconds& time : device_times(s)) json[time.field] = time.seconds;
-    json["iterations"] = nlohmann::ordered_json::array();
-    for (const clba_iteration& row : rows)
-        json["iterations"].push_back({
-            {"iteration", row.iteration},
-            {"accepted", row.step_is_accepted != 0},
-            {"valid", row.step_is_valid != 0},
-            {"cost", row.cost},
-            {"cost_change", row.cost_change},
-            {"gradient_max_norm", row.gradient_max_norm},
-            {"step_norm", row.step_norm},
-            {"gain_ratio", row.gain_ratio},
-            {"trust_region_radius", row.trust_region_radius},
-            {"linear_solver_iterations", row.linear_solver_iterations},
-            {"num_behind", row.num_behind},
-            {"seconds", row.seconds},
-        });
-    return json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
+    JsonWriter json;
+    json.begin_object();
+    json.add("device", s.device);
+    json.add("linear_solver", clba_linear_solver_name(s.linear_solver));
+    json.add("preconditioner", preconditioner_name(s));
+    json.add("damping", clba_damping_name(s.damping));
+    json.add("precision", clba_precision_name(s.precision));
+    json.add("eta", s.eta);
+    json.add("termination", termination_name(s.termination));
+    json.add("reason", reason_name(s.reason));
+    json.add("message", s.message);
+    json.add("initial_cost", s.initial_cost);
+    json.add("final_cost", s.final_cost);
+    json.add("reference_final_cost", s.reference_final_cost);
+    json.add("num_iterations", s.num_iterations);
+    json.add("num_accepted_steps", s.num_accepted_steps);
+    json.add("num_rejected_steps", s.num_rejected_steps);
+    json.add("num_invalid_steps", s.num_invalid_steps);
+    json.add("num_linear_solver_iterations", s.num_linear_solver_iterations);
+    json.add("num_behind_initial", s.num_behind_initial);
+    json.add("num_behind_final", s.num_behind_final);
+    json.add("num_singular", s.num_singular);
+    json.add("num_indefinite_blocks", s.num_indefinite_blocks);
+    json.add("peak_device_bytes", s.peak_device_bytes);
+    // What is left of the total once kernels are built: what a second solve would take.
+    json.add("solve_seconds", s.total_seconds - s.build_seconds - s.reference_seconds);
+    json.add("total_seconds", s.total_seconds);
+    for (const NamedSeconds& time : wall_times(s)) json.add(time.field, time.seconds);
+    for (const NamedSeconds& time : device_times(s)) json.add(time.field, time.seconds);
+    json.begin_array("iterations");
+    for (const clba_iteration& row : rows) {
+        json.begin_object();
+        json.add("iteration", row.iteration);
+        json.add("accepted", row.step_is_accepted != 0);
+        json.add("valid", row.step_is_valid != 0);
+        json.add("cost", row.cost);
+        json.add("cost_change", row.cost_change);
+        json.add("gradient_max_norm", row.gradient_max_norm);
+        json.add("step_norm", row.step_norm);
+        json.add("gain_ratio", row.gain_ratio);
+        json.add("trust_region_radius", row.trust_region_radius);
+        json.add("linear_solver_iterations", row.linear_solver_iterations);
+        json.add("num_behind", row.num_behind);
+        json.add("seconds", row.seconds);
+        json.end_object();
+    }
+    json.end_array();
+    json.end_object();
+    return json.take();
 }
 
 }  // namespace clba
