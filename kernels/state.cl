@@ -60,10 +60,11 @@ kernel void update_images(int num_images, global const int* restrict pose_offset
         const double qy = c * by - ax * bz + ay * bw + az * bx;
         const double qz = c * bz + ax * by - ay * bx + az * bw;
         const double norm = 1 / sqrt(qw * qw + qx * qx + qy * qy + qz * qz);
-        out[0] = norm * qw;
-        out[1] = norm * qx;
-        out[2] = norm * qy;
-        out[3] = norm * qz;
+        // A constant rotation keeps its bits.
+        out[0] = angle2 > 0 ? norm * qw : bw;
+        out[1] = angle2 > 0 ? norm * qx : bx;
+        out[2] = angle2 > 0 ? norm * qy : by;
+        out[3] = angle2 > 0 ? norm * qz : bz;
         const double tx = pose[4], ty = pose[5], tz = pose[6];
         // exp(w) t = t + 2 c (a x t) + 2 a x (a x t) with a = (ax, ay, az).
         const double ux = 2 * (ay * tz - az * ty);

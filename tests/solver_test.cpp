@@ -184,14 +184,31 @@ TEST(Solver, LargeCoordinatesLoseNothing) {
     EXPECT_NEAR(moved.final_cost, expected.final_cost, 1e-5 * expected.final_cost);
 }
 
+// Points behind their camera, seen once, or not at all; images that see nothing; repeated pairs.
 TEST(Solver, PlantedTroubleIsCountedAndSolved) {
     for (const MinimizerOptions& options : all_solvers()) {
         Problem problem = test::planted_trouble();
+        // Out of the camera's plane: a step that leaves it would be rejected for ever, because the
+        // cost jumps there.
+        for (Observation& o : problem.observations)
+            if (o.image == 0 && (o.point == 11 || o.point == 12)) o.image = 3;
         for (int p = 1; p < 10; ++p) problem.points[p][0] += 0.02;
         const Summary summary = run(problem, options);
         expect_sound(summary);
         EXPECT_EQ(summary.num_behind_initial, test::planted_num_behind);
         EXPECT_LT(summary.final_cost, 0.5 * summary.initial_cost);
+        for (const Point& point : problem.points)
+            for (double x : point) EXPECT_TRUE(std::isfinite(x));
+    }
+}
+
+TEST(Solver, SingularObservationsAreCountedAndDoNoHarm) {
+    for (const MinimizerOptions& options : all_solvers()) {
+        Problem problem = test::planted_trouble();
+        const Summary summary = run(problem, options);
+        expect_sound(summary);
+        EXPECT_EQ(summary.num_singular, test::planted_num_singular);
+        EXPECT_LE(summary.final_cost, summary.initial_cost);
         for (const Point& point : problem.points)
             for (double x : point) EXPECT_TRUE(std::isfinite(x));
     }

@@ -158,6 +158,7 @@ clba_status clba_problem_set_cameras(clba_problem* problem, int32_t count, const
                     "].camera = ", p.images[i].camera, ", but there would be ", count,
                     " cameras; set the images first, or set as many cameras as before");
         if (!is_same_number) {
+            drop_observations(p);
             p.constant_cameras.clear();
             p.camera_uncertainties.clear();
         }

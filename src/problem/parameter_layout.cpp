@@ -83,7 +83,9 @@ void apply_step(const ParameterLayout& layout, const double* step, Problem& prob
         const auto turn = quaternion_from_rotation_vector({d[0], d[1], d[2]});
         const auto r = rotation_matrix(turn);
         const auto t = pose.translation;
-        pose.rotation = normalized(quaternion_product(turn, pose.rotation));
+        // A constant rotation keeps its bits.
+        if (d[0] != 0 || d[1] != 0 || d[2] != 0)
+            pose.rotation = normalized(quaternion_product(turn, pose.rotation));
         for (int k = 0; k < 3; ++k)
             pose.translation[k] =
                 r[3 * k] * t[0] + r[3 * k + 1] * t[1] + r[3 * k + 2] * t[2] + d[3 + k];
