@@ -11,7 +11,7 @@
 
 // V = sum J_E^T J_E of each point, added to 6 rows: xx, yx, yy, zx, zy, zz.
 // Writers: group t alone writes V of its points.
-kernel void point_blocks(global const int* restrict tile_points,
+KERNEL void point_blocks(global const int* restrict tile_points,
                          global const int* restrict tile_runs,
                          global const int* restrict run_slots,
                          global const ushort* restrict slot_point,
@@ -47,7 +47,7 @@ kernel void point_blocks(global const int* restrict tile_points,
 // M = I - J_E V^-1 J_E^T of each observation, with V^-1 = G^T G: 3 rows m00, m10, m11 of each run's
 // slots. These weigh the image blocks of the Schur complement's diagonal.
 // Writers: group t alone writes the slots of its runs.
-kernel void schur_weights(global const int* restrict tile_points,
+KERNEL void schur_weights(global const int* restrict tile_points,
                           global const int* restrict tile_runs,
                           global const int* restrict run_slots,
                           global const ushort* restrict slot_point,
@@ -86,8 +86,7 @@ kernel void schur_weights(global const int* restrict tile_points,
 // registers while the run's Jacobian stays in the cache.
 // Writers: group t alone writes the sums of its runs.
 #define PART 3
-#define NUM_PARTS ((COLUMNS + PART - 1) / PART)
-kernel void image_blocks(global const int* restrict tile_runs,
+KERNEL void image_blocks(global const int* restrict tile_runs,
                          global const int* restrict run_slots,
                          global const REAL* restrict blocks, global const REAL* restrict weights,
                          global double* restrict run_blocks, local double* scratch) {
@@ -99,9 +98,8 @@ kernel void image_blocks(global const int* restrict tile_runs,
         global const REAL* bottom = top + COLUMNS * n;
         global const REAL* m = weights ? weights + 3 * (long)first : 0;
         global double* out = run_blocks + TRIANGLE * (long)run;
-        for (int part = 0; part < NUM_PARTS * NUM_PARTS; ++part) {
-            const int row = part / NUM_PARTS * PART, column = part % NUM_PARTS * PART;
-            if (column > row) continue;
+        int row = 0, column = 0;
+        do {
             // Rows of the Jacobian for the part's rows and columns; past the last one, the last.
             int at_row[PART], at_column[PART];
 #pragma unroll
@@ -153,6 +151,11 @@ kernel void image_blocks(global const int* restrict tile_runs,
                 const int i = row + k / PART, j = column + k % PART;
                 if (IS_FIRST_LANE && i < COLUMNS && j <= i) out[i * (i + 1) / 2 + j] = total;
             }
-        }
+            column += PART;
+            if (column > row) {
+                column = 0;
+                row += PART;
+            }
+        } while (row < COLUMNS);
     }
 }

@@ -25,7 +25,7 @@ static inline double damping(int policy, double c, double d, double d_0, double 
 
 // D^2 of the F side. initial_diagonal: of the first linearisation; NULL unless policy is 2.
 // Writers: one element each.
-kernel void image_damping(int policy, double smallest, double largest, int num_blocks,
+KERNEL void image_damping(int policy, double smallest, double largest, int num_blocks,
                           global const int* restrict block_offset,
                           global const int* restrict block_size,
                           global const int* restrict matrix_offset,
@@ -50,7 +50,7 @@ kernel void image_damping(int policy, double smallest, double largest, int num_b
 
 // D^2 of the points: 3 rows. scale may be NULL: 1 everywhere. Spare slots get some value too.
 // Writers: one element each.
-kernel void point_damping(int policy, double smallest, double largest, int num_point_slots,
+KERNEL void point_damping(int policy, double smallest, double largest, int num_point_slots,
                           global const double* restrict v, global const double* restrict scale,
                           global double* restrict initial_diagonal, int is_first,
                           global double* restrict d2) {
@@ -72,7 +72,7 @@ kernel void point_damping(int policy, double smallest, double largest, int num_p
 // G of A = (packed lower triangle at matrix_offset) + lambda D^2, packed likewise; all 0 and counted
 // if A is not positive definite.
 // Writers: one block each; failures: one count a group.
-kernel void factor_image_blocks(double lambda, int num_blocks,
+KERNEL void factor_image_blocks(double lambda, int num_blocks,
                                 global const int* restrict block_offset,
                                 global const int* restrict block_size,
                                 global const int* restrict matrix_offset,
@@ -133,7 +133,7 @@ kernel void factor_image_blocks(double lambda, int num_blocks,
 // G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. V's 6 rows are
 // xx, yx, yy, zx, zy, zz. scale may be NULL. Spare slots have V = 0: their G is finite and unused.
 // Writers: one point each; failures: one count a work-item.
-kernel void factor_point_blocks(double lambda, int num_point_slots,
+KERNEL void factor_point_blocks(double lambda, int num_point_slots,
                                 global const double* restrict v,
                                 global const double* restrict scale,
                                 global const double* restrict d2,
@@ -180,7 +180,7 @@ kernel void factor_point_blocks(double lambda, int num_point_slots,
 
 // z = G^T G r, block by block.
 // Writers: group shares of blocks.
-kernel void apply_image_factors(int num_blocks, global const int* restrict block_offset,
+KERNEL void apply_image_factors(int num_blocks, global const int* restrict block_offset,
                                 global const int* restrict block_size,
                                 global const int* restrict matrix_offset,
                                 global const double* restrict factors,
@@ -205,7 +205,7 @@ kernel void apply_image_factors(int num_blocks, global const int* restrict block
 
 // z = G^T G r, point by point; r and z are 3 rows of doubles.
 // Writers: one point each.
-kernel void apply_point_factors(int num_point_slots, global const REAL* restrict factors,
+KERNEL void apply_point_factors(int num_point_slots, global const REAL* restrict factors,
                                 global const double* restrict r, global double* restrict z) {
     const int n = num_point_slots;
     const int begin = share_begin(n), end = share_end(n);

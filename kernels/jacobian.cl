@@ -12,7 +12,7 @@
 
 #define COLUMNS (6 + CAMERA_PARAMS)
 
-kernel void jacobian(global const int* restrict tile_points,
+KERNEL void jacobian(global const int* restrict tile_points,
                      global const int* restrict tile_num_points,
                      global const int* restrict tile_runs, global const int* restrict run_image,
                      global const int* restrict run_slots,

@@ -40,7 +40,7 @@ static inline void image_product(global const REAL* blocks, int n, int l, const 
 
 // y = J_F x_F + J_E x_E.
 // Writers: group t alone writes y in the slots of its runs: run by run, 2 rows of its slots.
-kernel void jx(global const int* restrict tile_points, global const int* restrict tile_runs,
+KERNEL void jx(global const int* restrict tile_points, global const int* restrict tile_runs,
                global const int* restrict run_image, global const int* restrict run_slots,
                global const ushort* restrict slot_point, global const int* restrict pose_offsets,
                global const int* restrict intrinsics_offsets, global const REAL* restrict blocks,
@@ -73,7 +73,7 @@ kernel void jx(global const int* restrict tile_points, global const int* restric
 
 // x_F = J_F^T y as run_sums, and x_E += J_E^T y.
 // Writers: group t alone writes the sums of its runs and x_E of its points.
-kernel void jty(global const int* restrict tile_points, global const int* restrict tile_runs,
+KERNEL void jty(global const int* restrict tile_points, global const int* restrict tile_runs,
                 global const int* restrict run_slots, global const ushort* restrict slot_point,
                 global const REAL* restrict blocks, global const REAL* restrict y,
                 int num_point_slots, global REAL* restrict x_e, global REAL* restrict run_sums,
@@ -119,7 +119,7 @@ kernel void jty(global const int* restrict tile_points, global const int* restri
 // which one launch does all at once, unless runs of several camera models share the points: then
 // stages 1 to 4 must have seen all of them before stage 8.
 // Writers: group t alone writes u of its points and the sums of its runs.
-kernel void schur_product(int stages, global const int* restrict tile_points,
+KERNEL void schur_product(int stages, global const int* restrict tile_points,
                           global const int* restrict tile_num_points,
                           global const int* restrict tile_runs,
                           global const int* restrict run_image,

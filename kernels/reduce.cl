@@ -15,7 +15,7 @@
 
 // y[offset + k] += sum over the block's runs of run_sums[run][first + k].
 // Writers: group b alone writes block b of y.
-kernel void reduce_runs(global const int* restrict block_offset,
+KERNEL void reduce_runs(global const int* restrict block_offset,
                         global const int* restrict block_size,
                         global const int* restrict block_column,
                         global const int* restrict block_runs,  // first of each block, and end
@@ -34,7 +34,7 @@ kernel void reduce_runs(global const int* restrict block_offset,
 
 // The same for the lower triangles of run_blocks, into the packed lower triangle at matrix_offset.
 // Writers: group b alone writes the matrix of block b.
-kernel void reduce_run_blocks(global const int* restrict block_size,
+KERNEL void reduce_run_blocks(global const int* restrict block_size,
                               global const int* restrict block_column,
                               global const int* restrict block_runs,
                               global const int* restrict runs,

@@ -6,7 +6,7 @@
 #include "lanes.clh"
 #include "observation.clh"
 
-kernel void residual(global const int* restrict tile_points,      // first point slot of each tile
+KERNEL void residual(global const int* restrict tile_points,      // first point slot of each tile
                      global const int* restrict tile_num_points,  // real points of each tile
                      global const int* restrict tile_runs,        // first run of each tile, and end
                      global const int* restrict run_image,

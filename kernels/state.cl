@@ -11,7 +11,7 @@
 #define IMAGE_RECORD (12 + MAX_CAMERA_PARAMS)
 
 // What kernels over observations read of an image: R row-major, t, intrinsics.
-kernel void image_records(int num_images, global const double* restrict poses,
+KERNEL void image_records(int num_images, global const double* restrict poses,
                           global const int* restrict image_camera,
                           global const double* restrict camera_params,
                           global double* restrict records) {
@@ -39,7 +39,7 @@ kernel void image_records(int num_images, global const double* restrict poses,
 }
 
 // Constant parameters have a step of 0.
-kernel void update_images(int num_images, global const int* restrict pose_offsets,
+KERNEL void update_images(int num_images, global const int* restrict pose_offsets,
                           global const double* restrict step, global const double* restrict poses,
                           global double* restrict updated) {
     const int end = share_end(num_images);
@@ -76,7 +76,7 @@ kernel void update_images(int num_images, global const int* restrict pose_offset
     }
 }
 
-kernel void update_cameras(int num_cameras, global const int* restrict intrinsics_offsets,
+KERNEL void update_cameras(int num_cameras, global const int* restrict intrinsics_offsets,
                            global const int* restrict num_params,
                            global const double* restrict step,
                            global const double* restrict params,
@@ -93,7 +93,7 @@ kernel void update_cameras(int num_cameras, global const int* restrict intrinsic
 }
 
 // updated = points + step, 3 rows as one vector of n.
-kernel void update_points(int n, global const double* restrict step,
+KERNEL void update_points(int n, global const double* restrict step,
                           global const double* restrict points,
                           global double* restrict updated) {
     const int begin = share_begin(n), end = share_end(n);

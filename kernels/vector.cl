@@ -5,7 +5,7 @@
 #define LANE_WIDTH 8
 #include "lanes.clh"
 
-kernel void dot_product(int n, global const double* restrict x, global const double* restrict y,
+KERNEL void dot_product(int n, global const double* restrict x, global const double* restrict y,
                         int first_partial, global double* restrict partials, local double* scratch) {
     const int begin = share_begin(n), end = share_end(n);
     double sum = 0;
@@ -15,7 +15,7 @@ kernel void dot_product(int n, global const double* restrict x, global const dou
 }
 
 // |x|^2 of REALs, summed in double.
-kernel void squared_norm(int n, global const REAL* restrict x, int first_partial,
+KERNEL void squared_norm(int n, global const REAL* restrict x, int first_partial,
                          global double* restrict partials, local double* scratch) {
     const int begin = share_begin(n), end = share_end(n);
     double sum = 0;
@@ -24,7 +24,7 @@ kernel void squared_norm(int n, global const REAL* restrict x, int first_partial
     if (IS_FIRST_LANE) partials[first_partial + get_group_id(0)] = total;
 }
 
-kernel void max_abs(int n, global const double* restrict x, int first_partial,
+KERNEL void max_abs(int n, global const double* restrict x, int first_partial,
                     global double* restrict partials, local double* scratch) {
     const int begin = share_begin(n), end = share_end(n);
     double largest = 0;
@@ -38,21 +38,21 @@ kernel void max_abs(int n, global const double* restrict x, int first_partial,
 }
 
 // y = a x + b y; what y held does not matter if b is 0.
-kernel void scale_and_add(int n, double a, global const double* restrict x, double b,
+KERNEL void scale_and_add(int n, double a, global const double* restrict x, double b,
                           global double* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) y[i] = a * x[i] + (b == 0 ? 0.0 : b * y[i]);
 }
 
 // y += lambda d2 x.
-kernel void add_damping(int n, double lambda, global const double* restrict d2,
+KERNEL void add_damping(int n, double lambda, global const double* restrict d2,
                         global const double* restrict x, global double* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) y[i] += lambda * d2[i] * x[i];
 }
 
 // One step of conjugate gradients: x += alpha p, r -= alpha q; partials of x . (b + r).
-kernel void pcg_step(int n, double alpha, global const double* restrict p,
+KERNEL void pcg_step(int n, double alpha, global const double* restrict p,
                      global const double* restrict q, global const double* restrict b,
                      global double* restrict x, global double* restrict r,
                      int first_partial, global double* restrict partials, local double* scratch) {
@@ -70,17 +70,17 @@ kernel void pcg_step(int n, double alpha, global const double* restrict p,
 }
 
 // y = (REAL)x, and back.
-kernel void to_real(int n, global const double* restrict x, global REAL* restrict y) {
+KERNEL void to_real(int n, global const double* restrict x, global REAL* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) y[i] = (REAL)x[i];
 }
-kernel void from_real(int n, global const REAL* restrict x, global double* restrict y) {
+KERNEL void from_real(int n, global const REAL* restrict x, global double* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) y[i] = (double)x[i];
 }
 
 // x_i = 0 where scale_i is 0: constant parameters.
-kernel void mask_constants(int n, global const double* restrict scale, global double* restrict x) {
+KERNEL void mask_constants(int n, global const double* restrict scale, global double* restrict x) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) x[i] = scale[i] > 0 ? x[i] : 0.0;
 }

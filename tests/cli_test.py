@@ -105,6 +105,16 @@ class Devices(CliTest):
             self.refused(NO_DEVICE, "solve", file, "--device", device, "-o", "out.txt",
                          mentions=device)
 
+    def test_device_from_the_environment(self):
+        file = self.scene()
+        self.clba("solve", file, "--quiet", CLBA_DEVICE="0")
+        error = self.clba("solve", file, "-o", "out.txt", exit_code=NO_DEVICE,
+                          CLBA_DEVICE="no such device").stderr
+        self.assertIn("no such device", error)
+        self.assertFalse((self.folder / "out.txt").exists())
+        # An option wins over the environment.
+        self.clba("solve", file, "--quiet", "--device", "0", CLBA_DEVICE="no such device")
+
     def test_no_driver(self):
         self.clba("devices", exit_code=NO_DEVICE, OCL_ICD_VENDORS=str(self.folder))
 
@@ -286,6 +296,30 @@ class Solve(CliTest):
         for option in ("-o", "--ply", "--json"):
             self.refused(FILE, "solve", file, option, "absent/out", mentions="absent")
             self.refused(FILE, "solve", file, option, ".", mentions="folder")
+
+    def test_kernel_cache_folder(self):
+        file = self.scene()
+        cache = self.folder / "cache/kernels"
+        self.clba("solve", file, "--quiet", CLBA_CACHE_DIR=str(cache))
+        self.assertTrue(list(cache.glob("*.clbin")))
+        self.clba("solve", file, "--quiet", CLBA_CACHE_DIR="")
+        # One that is named must be writable.
+        error = self.clba("solve", file, "-o", "out.txt", exit_code=FILE,
+                          CLBA_CACHE_DIR=str(self.folder / file / "kernels")).stderr
+        self.assertRegex(error, r"\Aclba: error: [^\n]+CLBA_CACHE_DIR[^\n]+\n\Z")
+        self.assertFalse((self.folder / "out.txt").exists())
+        # The default is not: kernels are compiled each time.
+        environment = {**os.environ, "XDG_CACHE_HOME": str(self.folder / file)}
+        environment.pop("CLBA_CACHE_DIR", None)
+        subprocess.run([CLBA, "solve", file, "--quiet"], cwd=self.folder, check=True,
+                       env=environment)
+
+    def test_no_plugin(self):
+        file = self.scene()
+        error = self.clba("solve", file, "--linear-solver", "direct_schur", "-o", "out.txt",
+                          exit_code=NO_DEVICE, CLBA_CHOLMOD="/nonexistent").stderr
+        self.assertIn("clba_cholmod", error)
+        self.assertFalse((self.folder / "out.txt").exists())
 
     def test_ctrl_c_keeps_the_best_state(self):
         file = self.scene(images=150, per_image=400)

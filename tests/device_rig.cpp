@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "device_rig.hpp"
 
+#include <gtest/gtest.h>
+
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -29,6 +31,12 @@ std::map<uint64_t, TestContext>& contexts() {
     static std::map<uint64_t, TestContext> made;
     return made;
 }
+
+// A driver may be gone before the objects of static lifetime are.
+class ContextRelease : public testing::Environment {
+    void TearDown() override { contexts().clear(); }
+};
+const auto* const context_release = testing::AddGlobalTestEnvironment(new ContextRelease);
 
 int two_rows(int) {
     return 2;

@@ -474,8 +474,6 @@ TEST_P(KernelTest, StateUpdateAndImageRecords) {
     EXPECT_EQ(moved.points, wanted.points);
 }
 
-// ---- cases --------------------------------------------------------------------------------------
-
 Problem with_repeated_pairs(Problem problem) {
     const std::vector<Observation> once = problem.observations;
     for (size_t i = 0; i < once.size(); i += 2) {
@@ -504,93 +502,182 @@ Problem main_scene() {
     return test::with_uncertainties(test::with_constants(test::with_covariances(scene, 2)), 3);
 }
 
-std::vector<std::pair<std::string, Problem>> problems() {
+constexpr Precision both[] = {Precision::double_precision, Precision::mixed};
+
+// Compiling kernels takes most of the time, and each loss, camera model, precision and use of
+// covariances has its own: what does not depend on the precision is tested in one.
+std::vector<Case> problem_cases() {
     const int num_points = test::is_small() ? 12 : 60;
     const std::vector<int32_t> snavely = {camera_snavely};
-    std::vector<std::pair<std::string, Problem>> list;
-    for (int32_t model : test::all_camera_models())
-        list.emplace_back(camera_models[model].name,
-                          test::small_scene(test::is_small() ? 2 : 5, num_points, {model}, false,
-                                            static_cast<uint64_t>(model) + 10));
-    list.emplace_back("everything", main_scene());
-    const Problem scene = test::small_scene(4, num_points, snavely, false, 20);
-    // Around the size of the residuals, so that both branches of a loss are taken.
-    list.emplace_back("huber", test::with_loss(scene, LossKind::huber, 5));
-    list.emplace_back("soft_l1", test::with_loss(scene, LossKind::soft_l1, 5));
-    list.emplace_back("cauchy", test::with_loss(scene, LossKind::cauchy, 5));
-    list.emplace_back("tukey", test::with_loss(scene, LossKind::tukey, 8));
-    list.emplace_back("trouble", test::planted_trouble());
-    list.emplace_back("nothing_observed", nothing_observed());
-    if (test::is_small()) return list;
-    list.emplace_back("all_models",
-                      test::small_scene(9, 100, test::all_camera_models(), false, 21));
-    list.emplace_back("all_models_shared",
-                      test::small_scene(14, 100, test::all_camera_models(), true, 22));
-    list.emplace_back("snavely_shared", test::small_scene(6, 80, snavely, true, 23));
-    list.emplace_back("covariances", test::with_covariances(test::mixed_scene(6, 80, 24), 25));
-    list.emplace_back("covariances_tukey",
-                      test::with_loss(test::with_covariances(scene, 26), LossKind::tukey, 8));
-    list.emplace_back("constants", test::with_constants(test::mixed_scene(6, 80, 27)));
-    list.emplace_back("uncertainties", test::with_uncertainties(test::mixed_scene(6, 80, 28), 29));
-    list.emplace_back("trouble_cauchy",
-                      test::with_loss(test::planted_trouble(), LossKind::cauchy, 3));
-    list.emplace_back("shifted", test::shifted(test::mixed_scene(6, 80, 30), 1e6));
-    list.emplace_back("scaled", test::scaled(test::mixed_scene(6, 80, 31), 1e6));
-    list.emplace_back("repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 80, 32)));
-    list.emplace_back("one_observation", one_observation());
-    list.emplace_back("many_points", test::small_scene(6, 2000, snavely, false, 33));
-    list.emplace_back("empty", Problem());
-    return list;
-}
-
-std::vector<Case> problem_cases() {
     std::vector<Case> cases;
-    for (const auto& [name, problem] : problems())
-        for (Precision precision : {Precision::double_precision, Precision::mixed})
-            cases.push_back({name, problem, precision, test::device_shape()});
+    const auto add = [&](const std::string& name, const Problem& problem, Precision precision) {
+        cases.push_back({name, problem, precision, test::device_shape()});
+    };
+    const auto add_both = [&](const std::string& name, const Problem& problem) {
+        for (Precision precision : both) add(name, problem, precision);
+    };
+    for (int32_t model : test::all_camera_models())
+        add_both(camera_models[model].name,
+                 test::small_scene(test::is_small() ? 2 : 5, num_points, {model}, false,
+                                   static_cast<uint64_t>(model) + 10));
+    add_both("everything", main_scene());
+    const Problem scene = test::small_scene(4, num_points, snavely, false, 20);
+    // Scales about the size of the residuals, so that both branches of a loss are taken.
+    add("huber", test::with_loss(scene, LossKind::huber, 5), Precision::mixed);
+    add("soft_l1", test::with_loss(scene, LossKind::soft_l1, 5), Precision::double_precision);
+    add("cauchy", test::with_loss(scene, LossKind::cauchy, 5), Precision::double_precision);
+    add("tukey", test::with_loss(scene, LossKind::tukey, 8), Precision::mixed);
+    add("covariances_tukey", test::with_loss(test::with_covariances(scene, 26), LossKind::tukey, 8),
+        Precision::double_precision);
+    add_both("trouble", test::planted_trouble());
+    add("nothing_observed", nothing_observed(), Precision::mixed);
+    if (test::is_small()) return cases;
+    add_both("all_models", test::small_scene(9, 100, test::all_camera_models(), false, 21));
+    add_both("all_models_shared", test::small_scene(14, 100, test::all_camera_models(), true, 22));
+    add_both("snavely_shared", test::small_scene(6, 80, snavely, true, 23));
+    add_both("covariances", test::with_covariances(test::mixed_scene(6, 80, 24), 25));
+    add_both("constants", test::with_constants(test::mixed_scene(6, 80, 27)));
+    add_both("uncertainties", test::with_uncertainties(test::mixed_scene(6, 80, 28), 29));
+    add_both("shifted", test::shifted(test::mixed_scene(6, 80, 30), 1e6));
+    add_both("scaled", test::scaled(test::mixed_scene(6, 80, 31), 1e6));
+    add_both("repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 80, 32)));
+    add_both("one_observation", one_observation());
+    add_both("many_points", test::small_scene(6, 2000, snavely, false, 33));
+    add_both("empty", Problem());
     return cases;
 }
 
-// Work-groups of every awkward size, tiles and lanes too; problems with two camera models, repeated
+// Work-groups, tiles and lanes of awkward sizes: problems with several camera models, repeated
 // pairs and planted trouble.
 std::vector<Case> shape_cases() {
-    std::vector<test::Shape> shapes = {test::loop_shape("plain_loops", false, 3, 3, 5),
-                                       test::group_shape(7, 3, 3, 5)};
-    if (!test::is_small()) {
-        shapes.push_back(test::loop_shape("vector_loops", true, 8, 8, 64));
-        shapes.push_back(test::loop_shape("one_lane", true, 1, 1, 64));
-        shapes.push_back(test::group_shape(1, 1, 1, 5));
-        shapes.push_back(test::group_shape(2, 3, 8, 64));
-        shapes.push_back(test::group_shape(63, 8, 16, 64));
-        shapes.push_back(test::group_shape(64, 8, 16, 64));
-        shapes.push_back(test::group_shape(65, 1, 16, 4096));
-    }
-    std::vector<Case> cases;
-    for (const test::Shape& shape : shapes) {
-        cases.push_back({"everything", main_scene(), Precision::mixed, shape});
-        if (test::is_small()) continue;
-        cases.push_back({"repeated_pairs", with_repeated_pairs(test::mixed_scene(5, 100, 40)),
-                         Precision::double_precision, shape});
-    }
-    const test::Shape groups = test::group_shape(test::is_small() ? 3 : 64, 2, 8, 5);
-    cases.push_back({"trouble", test::planted_trouble(), Precision::double_precision, groups});
-    if (!test::is_small())
-        cases.push_back({"all_models_shared",
-                         test::small_scene(14, 100, test::all_camera_models(), true, 41),
-                         Precision::mixed, groups});
+    const Problem everything = main_scene();
+    const Problem repeated =
+        with_repeated_pairs(test::mixed_scene(4, test::is_small() ? 12 : 100, 40));
+    const auto loops = test::loop_shape("plain_loops", false, 3, 3, 5);
+    std::vector<Case> cases = {
+        {"everything", everything, Precision::mixed, loops},
+        {"everything", everything, Precision::mixed, test::group_shape(7, 3, 3, 5)},
+        {"repeated_pairs", repeated, Precision::mixed, test::group_shape(4, 2, 8, 5)},
+        {"trouble", test::planted_trouble(), Precision::mixed, test::group_shape(3, 3, 16, 4)},
+    };
+    if (test::is_small()) return cases;
+    const auto add = [&](const char* name, const Problem& problem, const test::Shape& shape) {
+        cases.push_back({name, problem, Precision::mixed, shape});
+    };
+    add("repeated_pairs", repeated, loops);
+    add("everything", everything, test::loop_shape("vector_loops", true, 8, 8, 64));
+    add("everything", everything, test::loop_shape("one_lane", true, 1, 1, 64));
+    add("everything", everything, test::group_shape(1, 1, 1, 5));
+    add("repeated_pairs", repeated, test::group_shape(2, 3, 8, 64));
+    add("everything", everything, test::group_shape(63, 8, 16, 64));
+    add("repeated_pairs", repeated, test::group_shape(64, 8, 16, 64));
+    add("everything", everything, test::group_shape(65, 1, 16, 4096));
+    cases.push_back({"repeated_pairs", repeated, Precision::double_precision,
+                     test::group_shape(64, 8, 16, 64)});
     return cases;
 }
 
 std::vector<Case> chunk_cases() {
     std::vector<Case> cases;
     const test::Shape shape = test::loop_shape("chunks", true, 4, 16, 16);
-    const uint64_t limit = 200'000;
-    for (Precision precision : {Precision::double_precision, Precision::mixed})
+    const uint64_t limit = test::is_small() ? 12'000 : 100'000;
+    for (Precision precision : both)
         cases.push_back({"everything", main_scene(), precision, shape, limit});
     if (!test::is_small())
         cases.push_back({"repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 200, 50)),
                          Precision::double_precision, shape, limit});
     return cases;
+}
+
+// D^2 of the three policies, where the clamp and the diagonal of the first linearisation matter.
+class DampingTest : public testing::TestWithParam<Damping> {};
+
+TEST_P(DampingTest, EqualsTwinAtTwoStates) {
+    const auto context = test::test_context();
+    test::set_shape(*context, test::device_shape());
+    Problem problem = main_scene();
+    const DampingOptions options{GetParam(), 3e2, 1e6};
+    Rig rig(context, problem, Precision::mixed, options);
+    const auto diagonal = [&] {
+        std::vector<double> values;
+        const auto append = [&](const std::vector<double>& matrix, size_t n) {
+            for (size_t k = 0; k < n; ++k) values.push_back(matrix[k * (n + 1)]);
+        };
+        const auto u = rig.image_matrices(rig.equations.u());
+        for (size_t b = 0; b < u.size(); ++b)
+            append(u[b], static_cast<size_t>(rig.device.layout().blocks[b].size));
+        const auto v = rig.point_matrices(rig.equations.v(), false);
+        for (size_t p = 0; p < problem.points.size(); ++p) append(point_matrix(v, p), 3);
+        return values;
+    };
+    const std::vector<double> initial = diagonal(), scales = rig.scales();
+    for (int state = 0; state < 2; ++state) {
+        const std::vector<double> now = diagonal();
+        EXPECT_EQ(now == initial, state == 0);
+        const std::vector<double> wanted =
+            reference::damping_diagonal(static_cast<int>(options.policy), options.min_diagonal,
+                                        options.max_diagonal, scales, now, initial);
+        expect_near(rig.download(rig.equations.damping()), wanted, wanted, 8 * double_epsilon,
+                    "D^2");
+        std::vector<double> step = test::random_vector(static_cast<int64_t>(scales.size()), 6);
+        for (size_t k = 0; k < step.size(); ++k) step[k] *= scales[k] > 0 ? 1e-3 : 0;
+        rig.device.update(rig.upload(step));
+        rig.device.state.swap(rig.device.trial);
+        rig.evaluator.linearize(rig.equations);
+        rig.equations.update_blocks();
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(Policies, DampingTest,
+                         testing::Values(Damping::marquardt, Damping::levenberg,
+                                         Damping::uncertainty));
+
+// All that the kernels leave for a solver, as bits.
+std::vector<double> all_results(const Problem& problem, Precision precision,
+                                const test::Shape& shape, uint64_t max_allocation_bytes) {
+    const auto context = test::test_context(max_allocation_bytes);
+    test::set_shape(*context, shape);
+    Rig rig(context, problem, precision);
+    std::vector<double> all = {rig.cost().cost};
+    const auto append = [&](const std::vector<double>& values) {
+        all.insert(all.end(), values.begin(), values.end());
+    };
+    append(rig.residuals);
+    append(rig.jacobian().image_blocks);
+    append(rig.jacobian().point_blocks);
+    append(rig.download(rig.equations.gradient));
+    rig.equations.factor_points(lambda);
+    append(rig.point_matrices(rig.equations.point_factors(), true));
+    Vector y = rig.upload(test::random_vector(rig.device.layout().num_parameters(problem), 7));
+    rig.equations.jacobian.multiply(y);
+    append(rig.product());
+    rig.equations.jacobian.multiply_transposed(y);
+    append(rig.download(y));
+    Vector z = rig.device.make_reduced_vector("test");
+    rig.equations.jacobian.schur_multiply(y, rig.equations.point_factors(), z);
+    append(rig.download_reduced(z));
+    Buffer packed(rig.device.queue(), rig.device.matrices_bytes(), "blocks");
+    rig.equations.jacobian.schur_blocks(rig.equations.point_factors(), packed);
+    for (const auto& matrix : rig.image_matrices(packed)) append(matrix);
+    all.push_back(rig.device.vectors().dot(y, y));
+    return all;
+}
+
+TEST(Determinism, TwoRunsGiveEqualBits) {
+    const Problem problem = main_scene();
+    for (const test::Shape& shape : {test::device_shape(), test::group_shape(7, 3, 3, 5)})
+        EXPECT_EQ(all_results(problem, Precision::mixed, shape, 0),
+                  all_results(problem, Precision::mixed, shape, 0));
+}
+
+// What each observation and each point has does not depend on how tiles are spread over chunks.
+TEST(Chunks, AreSeveralBelowTheLimit) {
+    for (const Case& c : chunk_cases()) {
+        const auto context = test::test_context(c.max_allocation_bytes);
+        test::set_shape(*context, c.shape);
+        const DeviceProblem device(context, c.problem, c.precision);
+        EXPECT_GT(device.chunks().size(), 1u) << case_name(c);
+    }
 }
 
 const auto name_of = [](const testing::TestParamInfo<Case>& info) { return case_name(info.param); };

@@ -433,10 +433,12 @@ clba_status clba_problem_set_constant_points(clba_problem* problem, int32_t coun
 
 namespace {
 
+// Row `row` of rows, which is the caller's row i.
 template <class Values>
-void read_uncertainty(const Rows<const double>& rows, int64_t i, size_t width, Values& out) {
+void read_uncertainty(const Rows<const double>& rows, int64_t row, int64_t i, size_t width,
+                      Values& out) {
     for (size_t k = 0; k < width; ++k) {
-        out[k] = rows.get(i, k);
+        out[k] = rows.get(row, k);
         require(std::isfinite(out[k]) && out[k] > 0, "values[", i, "][", k, "] = ", out[k],
                 ", but an uncertainty must be finite and > 0");
     }
@@ -451,7 +453,7 @@ clba_status clba_problem_set_image_uncertainties(clba_problem* problem, int32_t 
         const Rows rows(values, stride, num_pose_params, "values", count);
         std::vector<std::array<double, num_pose_params>> uncertainties(static_cast<size_t>(count));
         for (int32_t i = 0; i < count; ++i)
-            read_uncertainty(rows, i, num_pose_params, uncertainties[i]);
+            read_uncertainty(rows, i, i, num_pose_params, uncertainties[i]);
         p.image_uncertainties = std::move(uncertainties);
     });
 }
@@ -470,7 +472,7 @@ clba_status clba_problem_set_camera_uncertainties(clba_problem* problem, int32_t
                     stride, " bytes, but row ", i, " has ", width * sizeof(double));
             uncertainties[i].fill(1.0);
             const Rows one(reinterpret_cast<const double*>(row), 0, width, "values", 1);
-            read_uncertainty(one, 0, width, uncertainties[i]);
+            read_uncertainty(one, 0, i, width, uncertainties[i]);
             row += stride ? stride : width * sizeof(double);
         }
         p.camera_uncertainties = std::move(uncertainties);
@@ -483,7 +485,7 @@ clba_status clba_problem_set_point_uncertainties(clba_problem* problem, int32_t 
         if (count != 0) require_count(count, p.num_points(), "points");
         const Rows rows(values, stride, 3, "values", count);
         std::vector<std::array<double, 3>> uncertainties(static_cast<size_t>(count));
-        for (int32_t i = 0; i < count; ++i) read_uncertainty(rows, i, 3, uncertainties[i]);
+        for (int32_t i = 0; i < count; ++i) read_uncertainty(rows, i, i, 3, uncertainties[i]);
         p.point_uncertainties = std::move(uncertainties);
     });
 }

@@ -93,24 +93,39 @@ Context::Context(const ContextOptions& options) : cache_(options.cache_folder) {
 
 Context::~Context() {
     OpenCl& cl = opencl();
+    save_programs();
     programs_.clear();
     if (caller_queue_) cl.clReleaseCommandQueue(caller_queue_);
     cl.clReleaseContext(context_);
+}
+
+// Not when they are built: some compilers build a kernel at its first launch, and would do so once
+// more to make the binary.
+void Context::save_programs() noexcept {
+    if (!cache_.is_enabled()) return;
+    try {
+        for (const auto& [key, program] : unsaved_) {
+            const std::vector<unsigned char> binary = program_binary(program);
+            if (!binary.empty()) cache_.store(key, binary);
+        }
+    } catch (const std::exception&) {
+        // The next start compiles again.
+    }
 }
 
 _cl_program* Context::program(const std::string& path, const std::string& camera_model_path,
                               const std::string& options) {
     const std::lock_guard lock(mutex_);
     const std::string key = path + '\n' + camera_model_path + '\n' + options;
-    const auto found = programs_.find(key);
-    if (found != programs_.end()) return found->second.get();
+    // Its place comes first, so that a program that is built has an owner.
+    ProgramHandle& kept = programs_[key];
+    if (kept) return kept.get();
     const auto start = std::chrono::steady_clock::now();
-    ProgramHandle program = build(kernel_source(path, camera_model_path), options);
-    _cl_program* const kept = programs_.emplace(key, std::move(program)).first->second.get();
+    kept = build(kernel_source(path, camera_model_path), options);
     build_seconds_ =
         build_seconds_ +
         std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    return kept;
+    return kept.get();
 }
 
 void Context::ReleaseProgram::operator()(_cl_program* program) const {
@@ -144,8 +159,7 @@ Context::ProgramHandle Context::build(const std::string& source, const std::stri
         fail(Status::kernel_build, "clBuildProgram failed with ", opencl_error_name(error), " on ",
              device_.name, " with the options '", options, "':\n",
              build_log(program.get(), device_.id));
-    const std::vector<unsigned char> compiled = program_binary(program.get());
-    if (!compiled.empty()) cache_.store(key, compiled);
+    unsaved_.emplace_back(key, program.get());
     return program;
 }
 

@@ -5,6 +5,8 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "device/device_info.hpp"
 #include "device/program_cache.hpp"
@@ -60,6 +62,7 @@ public:
     _cl_command_queue* caller_queue() const { return caller_queue_; }
 
 private:
+    void save_programs() noexcept;
     struct ReleaseProgram {
         void operator()(_cl_program* program) const;
     };
@@ -73,6 +76,7 @@ private:
     _cl_command_queue* caller_queue_ = nullptr;
     std::mutex mutex_;  // guards programs_
     std::map<std::string, ProgramHandle> programs_;
+    std::vector<std::pair<std::string, _cl_program*>> unsaved_;  // with their keys in the cache
     std::atomic<double> build_seconds_{0};
 };
 

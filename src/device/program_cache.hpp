@@ -13,6 +13,8 @@ public:
     // folder "": nothing is kept.
     explicit ProgramCache(std::string folder) : folder_(std::move(folder)) {}
 
+    bool is_enabled() const { return !folder_.empty(); }
+
     // Empty: not there.
     std::vector<unsigned char> load(const std::string& key) const;
     void store(const std::string& key, const std::vector<unsigned char>& binary) const;
