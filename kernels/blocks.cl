@@ -26,7 +26,7 @@ KERNEL void point_blocks(global const int* restrict tile_points,
     global double* v22 = v21 + num_point_slots;
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         global const ushort* point = slot_point + first;
         global const REAL* j_e = blocks + ROWS * (long)first + 2 * COLUMNS * n;
         LANES_MEET();
@@ -58,7 +58,7 @@ KERNEL void schur_weights(global const int* restrict tile_points,
     global const REAL* g = point_factors + tile_points[tile];
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         global const ushort* point = slot_point + first;
         global const REAL* j_e = blocks + ROWS * (long)first + 2 * COLUMNS * n;
         global REAL* out = weights + 3 * (long)first;
@@ -93,7 +93,7 @@ KERNEL void image_blocks(global const int* restrict tile_runs,
     const int tile = get_group_id(0);
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         global const REAL* top = blocks + ROWS * (long)first;
         global const REAL* bottom = top + COLUMNS * n;
         global const REAL* m = weights ? weights + 3 * (long)first : 0;

@@ -34,7 +34,7 @@ KERNEL void jacobian(global const int* restrict tile_points,
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const image_t image = load_image(images + IMAGE_RECORD * run_image[run]);
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         global const ushort* point = slot_point + first;
         global const double* observed = xy + 2 * (long)first;
 #if WHITENED

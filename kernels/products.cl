@@ -53,7 +53,7 @@ KERNEL void jx(global const int* restrict tile_points, global const int* restric
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int image = run_image[run];
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         const image_part_t part =
             load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
         global const ushort* point = slot_point + first;
@@ -84,7 +84,7 @@ KERNEL void jty(global const int* restrict tile_points, global const int* restri
     global REAL* xe2 = xe1 + num_point_slots;
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];
-        const int n = run_slots[run + 1] - first;
+        const int n = run_length(first, run_slots[run + 1]);
         global const ushort* point = slot_point + first;
         global const REAL* j_f = blocks + ROWS * (long)first;
         global const REAL* j_e = j_f + 2 * COLUMNS * n;
@@ -148,7 +148,7 @@ KERNEL void schur_product(int stages, global const int* restrict tile_points,
         for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
             const int image = run_image[run];
             const int first = run_slots[run];
-            const int n = run_slots[run + 1] - first;
+            const int n = run_length(first, run_slots[run + 1]);
             const image_part_t part =
                 load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
             global const ushort* point = slot_point + first;
@@ -185,7 +185,7 @@ KERNEL void schur_product(int stages, global const int* restrict tile_points,
         for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
             const int image = run_image[run];
             const int first = run_slots[run];
-            const int n = run_slots[run + 1] - first;
+            const int n = run_length(first, run_slots[run + 1]);
             const image_part_t part =
                 load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
             global const ushort* point = slot_point + first;

@@ -41,7 +41,8 @@ Kernel& Queue::kernel(const std::string& path, const std::string& name, const st
     const std::string key = name + ' ' + defines + ' ' + camera_model_path;
     const auto found = kernels_.find(key);
     if (found != kernels_.end()) return found->second;
-    std::string options = text("-cl-std=CL1.2 -DLANE_LOOP=", tuning().lane_loop ? 1 : 0);
+    std::string options = text("-cl-std=CL1.2 -DLANE_LOOP=", tuning().lane_loop ? 1 : 0,
+                               " -DRUN_MULTIPLE=", tuning().lanes);
     if (!tuning().vectorize) options += " -DNO_VECTORIZE";
     if (!defines.empty()) options += ' ' + defines;
     _cl_program* program = context_->program(path, camera_model_path, options);
