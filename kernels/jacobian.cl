@@ -47,21 +47,17 @@ KERNEL void jacobian(global const int* restrict tile_points,
         LANES_MEET();
         LANES(l, 0, n) {
             const int i = point[l];
-            const double x = px[i], y = py[i], z = pz[i];
-            const double qx = image.r[0] * x + image.r[1] * y + image.r[2] * z + image.t[0];
-            const double qy = image.r[3] * x + image.r[4] * y + image.r[5] * z + image.t[1];
-            const double qz = image.r[6] * x + image.r[7] * y + image.r[8] * z + image.t[2];
+            const view_t p = view(&image, px[i], py[i], pz[i]);
             const bool is_real = i < num_points;
-            const bool is_singular = fabs(qz) <= 1e-10 * (fabs(qx) + fabs(qy));
-            const double w = is_singular ? 0.0 : CAMERA_SIGN / qz;
-            const double u = qx * w, v = qy * w;
             double rx, ry, d[4], b[2 * CAMERA_PARAMS];
-            camera_pixel_derivatives(image.theta, u, v, &rx, &ry, d, b);
+            camera_pixel_derivatives(image.theta, p.u, p.v, &rx, &ry, d, b);
             rx -= observed[l];
             ry -= observed[n + l];
-            // Rows of A: d(u, v) / dP = [w, 0, -sign u w; 0, w, -sign v w].
-            double a0 = d[0] * w, a1 = d[1] * w, a2 = -CAMERA_SIGN * w * (d[0] * u + d[1] * v);
-            double c0 = d[2] * w, c1 = d[3] * w, c2 = -CAMERA_SIGN * w * (d[2] * u + d[3] * v);
+            // Rows of A, with d(u, v) / dP = scale [1, 0, -sign u; 0, 1, -sign v].
+            double a0 = p.scale * d[0], a1 = p.scale * d[1];
+            double a2 = -CAMERA_SIGN * p.scale * (d[0] * p.u + d[1] * p.v);
+            double c0 = p.scale * d[2], c1 = p.scale * d[3];
+            double c2 = -CAMERA_SIGN * p.scale * (d[2] * p.u + d[3] * p.v);
 #if WHITENED
             const double l00 = factor[l], l10 = factor[n + l], l11 = factor[2 * n + l];
             ry = l10 * rx + l11 * ry;
@@ -81,7 +77,7 @@ KERNEL void jacobian(global const int* restrict tile_points,
             double rho, slope;
             loss(rx * rx + ry * ry, loss_scale, &rho, &slope);
             // The residual is zeroed too: where there is no derivative it adds no gradient.
-            const double weight = is_real && !is_singular ? sqrt(slope) : 0.0;
+            const double weight = is_real && !p.is_singular ? sqrt(slope) : 0.0;
             rx = is_real ? weight * rx : 0.0;
             ry = is_real ? weight * ry : 0.0;
             a0 *= weight;
@@ -91,15 +87,15 @@ KERNEL void jacobian(global const int* restrict tile_points,
             c1 *= weight;
             c2 *= weight;
             double row[COLUMNS], row2[COLUMNS];
-            row[0] = qy * a2 - qz * a1;
-            row[1] = qz * a0 - qx * a2;
-            row[2] = qx * a1 - qy * a0;
+            row[0] = p.y * a2 - p.z * a1;
+            row[1] = p.z * a0 - p.x * a2;
+            row[2] = p.x * a1 - p.y * a0;
             row[3] = a0;
             row[4] = a1;
             row[5] = a2;
-            row2[0] = qy * c2 - qz * c1;
-            row2[1] = qz * c0 - qx * c2;
-            row2[2] = qx * c1 - qy * c0;
+            row2[0] = p.y * c2 - p.z * c1;
+            row2[1] = p.z * c0 - p.x * c2;
+            row2[2] = p.x * c1 - p.y * c0;
             row2[3] = c0;
             row2[4] = c1;
             row2[5] = c2;

@@ -144,28 +144,28 @@ KERNEL void schur_product(int stages, global const int* restrict tile_points,
             u2[i] = 0;
         }
     }
-    if (stages & 2) {
-        for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
-            const int image = run_image[run];
-            const int first = run_slots[run];
-            const int n = run_length(first, run_slots[run + 1]);
-            const image_part_t part =
-                load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
-            global const ushort* point = slot_point + first;
-            global const REAL* j_f = blocks + ROWS * (long)first;
-            global const REAL* j_e = j_f + 2 * COLUMNS * n;
-            LANES_MEET();
-            LANES(l, 0, n) {
-                const int i = point[l];
-                REAL y0, y1;
-                image_product(j_f, n, l, &part, &y0, &y1);
-                u0[i] += j_e[l] * y0 + j_e[3 * n + l] * y1;
-                u1[i] += j_e[n + l] * y0 + j_e[4 * n + l] * y1;
-                u2[i] += j_e[2 * n + l] * y0 + j_e[5 * n + l] * y1;
-            }
-        }
+    // Barriers stand outside of the stages: PoCL doubles all code behind one that may be passed by.
+    const int forward_end = stages & 2 ? tile_runs[tile + 1] : tile_runs[tile];
+    for (int run = tile_runs[tile]; run < forward_end; ++run) {
+        const int image = run_image[run];
+        const int first = run_slots[run];
+        const int n = run_length(first, run_slots[run + 1]);
+        const image_part_t part =
+            load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
+        global const ushort* point = slot_point + first;
+        global const REAL* j_f = blocks + ROWS * (long)first;
+        global const REAL* j_e = j_f + 2 * COLUMNS * n;
         LANES_MEET();
+        LANES(l, 0, n) {
+            const int i = point[l];
+            REAL y0, y1;
+            image_product(j_f, n, l, &part, &y0, &y1);
+            u0[i] += j_e[l] * y0 + j_e[3 * n + l] * y1;
+            u1[i] += j_e[n + l] * y0 + j_e[4 * n + l] * y1;
+            u2[i] += j_e[2 * n + l] * y0 + j_e[5 * n + l] * y1;
+        }
     }
+    LANES_MEET();
     if (stages & 4) {
         global const REAL* g = point_factors + tile_points[tile];
         LANES(i, 0, num_points) {
@@ -179,37 +179,36 @@ KERNEL void schur_product(int stages, global const int* restrict tile_points,
             u1[i] = g11 * b1 + g21 * b2;
             u2[i] = g22 * b2;
         }
-        LANES_MEET();
     }
-    if (stages & 8) {
-        for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
-            const int image = run_image[run];
-            const int first = run_slots[run];
-            const int n = run_length(first, run_slots[run + 1]);
-            const image_part_t part =
-                load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
-            global const ushort* point = slot_point + first;
-            global const REAL* j_f = blocks + ROWS * (long)first;
-            global const REAL* j_e = j_f + 2 * COLUMNS * n;
-            REAL sum[COLUMNS];
+    LANES_MEET();
+    const int backward_end = stages & 8 ? tile_runs[tile + 1] : tile_runs[tile];
+    for (int run = tile_runs[tile]; run < backward_end; ++run) {
+        const int image = run_image[run];
+        const int first = run_slots[run];
+        const int n = run_length(first, run_slots[run + 1]);
+        const image_part_t part =
+            load_image_part(x_f, pose_offsets[image], intrinsics_offsets[image]);
+        global const ushort* point = slot_point + first;
+        global const REAL* j_f = blocks + ROWS * (long)first;
+        global const REAL* j_e = j_f + 2 * COLUMNS * n;
+        REAL sum[COLUMNS];
 #pragma unroll
-            for (int k = 0; k < COLUMNS; ++k) sum[k] = 0;
-            LANES(l, 0, n) {
-                const int i = point[l];
-                const REAL z0 = u0[i], z1 = u1[i], z2 = u2[i];
-                REAL y0, y1;
-                image_product(j_f, n, l, &part, &y0, &y1);
-                y0 -= j_e[l] * z0 + j_e[n + l] * z1 + j_e[2 * n + l] * z2;
-                y1 -= j_e[3 * n + l] * z0 + j_e[4 * n + l] * z1 + j_e[5 * n + l] * z2;
+        for (int k = 0; k < COLUMNS; ++k) sum[k] = 0;
+        LANES(l, 0, n) {
+            const int i = point[l];
+            const REAL z0 = u0[i], z1 = u1[i], z2 = u2[i];
+            REAL y0, y1;
+            image_product(j_f, n, l, &part, &y0, &y1);
+            y0 -= j_e[l] * z0 + j_e[n + l] * z1 + j_e[2 * n + l] * z2;
+            y1 -= j_e[3 * n + l] * z0 + j_e[4 * n + l] * z1 + j_e[5 * n + l] * z2;
 #pragma unroll
-                for (int k = 0; k < COLUMNS; ++k)
-                    sum[k] += j_f[k * n + l] * y0 + j_f[(COLUMNS + k) * n + l] * y1;
-            }
+            for (int k = 0; k < COLUMNS; ++k)
+                sum[k] += j_f[k * n + l] * y0 + j_f[(COLUMNS + k) * n + l] * y1;
+        }
 #pragma unroll
-            for (int k = 0; k < COLUMNS; ++k) {
-                const REAL total = (REAL)GROUP_SUM(sum[k], scratch);
-                if (IS_FIRST_LANE) run_sums[COLUMNS * run + k] = total;
-            }
+        for (int k = 0; k < COLUMNS; ++k) {
+            const REAL total = (REAL)GROUP_SUM(sum[k], scratch);
+            if (IS_FIRST_LANE) run_sums[COLUMNS * run + k] = total;
         }
     }
 }

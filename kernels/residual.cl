@@ -38,15 +38,10 @@ KERNEL void residual(global const int* restrict tile_points,      // first point
         global double* out = residuals + 2 * (long)first;
         LANES(l, 0, n) {
             const int i = point[l];
-            const double x = px[i], y = py[i], z = pz[i];
-            const double qx = image.r[0] * x + image.r[1] * y + image.r[2] * z + image.t[0];
-            const double qy = image.r[3] * x + image.r[4] * y + image.r[5] * z + image.t[1];
-            const double qz = image.r[6] * x + image.r[7] * y + image.r[8] * z + image.t[2];
+            const view_t p = view(&image, px[i], py[i], pz[i]);
             const bool is_real = i < num_points;
-            const bool is_singular = fabs(qz) <= 1e-10 * (fabs(qx) + fabs(qy));
-            const double w = is_singular ? 0.0 : CAMERA_SIGN / qz;
             double rx, ry;
-            camera_pixel(image.theta, qx * w, qy * w, &rx, &ry);
+            camera_pixel(image.theta, p.u, p.v, &rx, &ry);
             rx -= observed[l];
             ry -= observed[n + l];
 #if WHITENED
@@ -58,8 +53,8 @@ KERNEL void residual(global const int* restrict tile_points,      // first point
             double rho, slope;
             loss(rx * rx + ry * ry, loss_scale, &rho, &slope);
             cost += rho;
-            behind += is_real && w < 0 ? 1.0 : 0.0;
-            singular += is_real && is_singular ? 1.0 : 0.0;
+            behind += is_real && p.scale < 0 ? 1.0 : 0.0;
+            singular += is_real && p.is_singular ? 1.0 : 0.0;
             if (residuals) {
                 const double weight = sqrt(slope);
                 out[l] = weight * rx;

@@ -7,8 +7,6 @@
 #include <cstring>
 #include <map>
 
-#include "device/program_cache.hpp"
-
 namespace clba::test {
 namespace {
 
@@ -21,7 +19,6 @@ TestContext make_context(uint64_t max_allocation_bytes) {
     ContextOptions options;
     const char* device = std::getenv("CLBA_DEVICE");
     options.device = device ? device : "";
-    options.cache_folder = ProgramCache::default_folder();
     options.max_allocation_bytes = max_allocation_bytes;
     const auto context = std::make_shared<Context>(options);
     return {context, context->tuning};
