@@ -593,6 +593,7 @@ clba_status clba_problem_generate(const clba_scene_options* options, clba_proble
         const clba_scene_options given = copied_in(options, default_scene_options(), "options");
         require(clba_scene_name(given.scene) != nullptr, "scene = ", given.scene,
                 ", but the scenes are ", int{CLBA_SCENE_HALL}, " to ", int{CLBA_SCENE_LANDMARK});
+        require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
         SceneOptions internal;
         internal.kind = static_cast<SceneKind>(given.scene);
         internal.num_images = given.num_images;

@@ -89,6 +89,7 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     require_named(clba_preconditioner_name(given.preconditioner), "preconditioner",
                   given.preconditioner);
     require_named(clba_damping_name(given.damping), "damping", given.damping);
+    require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
     require_at_least("max_num_iterations", given.max_num_iterations, 0);
     require_at_least("max_linear_solver_iterations", given.max_linear_solver_iterations, 1);
     require_at_least("min_linear_solver_iterations", given.min_linear_solver_iterations, 0);

@@ -18,9 +18,15 @@ AtomicFile::AtomicFile(std::string path) : path_(std::move(path)) {
     const int descriptor =
         ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (descriptor >= 0) file_ = ::fdopen(descriptor, "wb");
-    if (!file_)
-        fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno),
+    if (!file_) {
+        const int reason = errno;
+        if (descriptor >= 0) {
+            ::close(descriptor);
+            ::unlink(temporary_.c_str());
+        }
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(reason),
              "; its folder must exist and be writable");
+    }
 }
 
 AtomicFile::~AtomicFile() {
