@@ -11,13 +11,6 @@ namespace {
 
 thread_local std::string last_error;
 
-template <size_t size>
-void copy_text(const std::string& from, char (&to)[size]) {
-    const size_t length = std::min(from.size(), size - 1);
-    std::memcpy(to, from.data(), length);
-    std::memset(to + length, 0, size - length);
-}
-
 clba_device_info public_info(const DeviceInfo& device) {
     clba_device_info info{};
     info.struct_size = sizeof info;

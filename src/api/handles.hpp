@@ -108,6 +108,14 @@ void init_struct(Struct* caller, size_t struct_size, const Struct& defaults, con
     caller->struct_size = static_cast<uint32_t>(struct_size);
 }
 
+// A text into a field of fixed size, cut if it is too long; the rest of the field is 0.
+template <size_t size>
+void copy_text(const std::string& from, char (&to)[size]) {
+    const size_t length = std::min(from.size(), size - 1);
+    std::memcpy(to, from.data(), length);
+    std::memset(to + length, 0, size - length);
+}
+
 // Rows of a caller's array: a pointer and a stride in bytes, 0 for rows without gaps.
 template <class Value>
 class Rows {

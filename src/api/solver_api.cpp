@@ -153,13 +153,6 @@ clba_iteration public_row(const IterationRow& row) {
     return out;
 }
 
-template <size_t size>
-void copy_text(const std::string& from, char (&to)[size]) {
-    const size_t length = std::min(from.size(), size - 1);
-    std::memcpy(to, from.data(), length);
-    to[length] = '\0';
-}
-
 clba_summary public_summary(const Summary& summary) {
     clba_summary out{};
     out.struct_size = sizeof out;

@@ -70,17 +70,14 @@ void DeviceProblem::upload_structure(const Problem& problem) {
     camera_offsets_ = upload_values(layout_.intrinsics_offset, "camera offsets");
 
     std::vector<int32_t> offset, size, matrix;
-    int64_t matrix_values = 0;
     for (const ParameterBlock& block : layout_.blocks) {
         offset.push_back(block.offset);
         size.push_back(block.size);
-        matrix.push_back(static_cast<int32_t>(matrix_values));
-        matrix_values += block.size * (block.size + 1) / 2;
+        matrix.push_back(block.matrix);
     }
     block_offset = upload_values(offset, "block offsets");
     block_size = upload_values(size, "block sizes");
     matrix_offset = upload_values(matrix, "matrix offsets");
-    matrices_bytes_ = static_cast<uint64_t>(matrix_values) * sizeof(double);
 
     for (const Chunk& chunk : tiles_.chunks) {
         DeviceChunk device_chunk;
@@ -117,16 +114,10 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.slot_point = upload_values(segment.slot_point, "observations' points");
 
     std::vector<int32_t> offset, size, matrix;
-    std::vector<int32_t> matrix_of_block;
-    int32_t next_matrix = 0;
-    for (const ParameterBlock& block : layout_.blocks) {
-        matrix_of_block.push_back(next_matrix);
-        next_matrix += block.size * (block.size + 1) / 2;
-    }
     for (int32_t block : segment.block) {
         offset.push_back(layout_.blocks[block].offset);
         size.push_back(layout_.blocks[block].size);
-        matrix.push_back(matrix_of_block[block]);
+        matrix.push_back(layout_.blocks[block].matrix);
     }
     device_segment.block_offset = upload_values(offset, "block offsets");
     device_segment.block_size = upload_values(size, "block sizes");

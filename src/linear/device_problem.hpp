@@ -104,7 +104,9 @@ public:
     Buffer scale_f;                                  // ParameterLayout::scale
     Buffer block_offset, block_size, matrix_offset;  // of ParameterLayout::blocks
     int32_t num_blocks() const { return static_cast<int32_t>(layout_.blocks.size()); }
-    uint64_t matrices_bytes() const { return matrices_bytes_; }  // packed lower triangles, doubles
+    uint64_t matrices_bytes() const {  // packed lower triangles, doubles
+        return static_cast<uint64_t>(layout_.num_matrix_values) * sizeof(double);
+    }
     int32_t num_images() const { return num_images_; }
     // Records of `of` for kernels over observations; filled by update_image_records.
     Buffer image_records;
@@ -124,7 +126,6 @@ private:
     VectorOperations vectors_;
     int64_t num_observations_ = 0;
     int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0;
-    uint64_t matrices_bytes_ = 0;
     std::vector<DeviceChunk> chunks_;
     Buffer image_camera_, camera_num_params_, camera_offsets_;
 };

@@ -16,10 +16,13 @@ ParameterLayout::ParameterLayout(const Problem& problem) {
     const auto append = [&](int32_t image, int32_t camera) {
         const int size = (image >= 0 ? num_pose_params : 0) +
                          (camera >= 0 ? problem.cameras[camera].num_params() : 0);
-        blocks.push_back({static_cast<int32_t>(next), size, image, camera});
+        blocks.push_back({static_cast<int32_t>(next), size, image, camera,
+                          static_cast<int32_t>(num_matrix_values)});
+        num_matrix_values += size * (size + 1) / 2;
         next += size;
-        require(next <= std::numeric_limits<int32_t>::max(), "poses and intrinsics have ", next,
-                " parameters, but at most 2^31 - 1 are supported");
+        require(num_matrix_values <= std::numeric_limits<int32_t>::max(),
+                "the blocks of poses and intrinsics have ", num_matrix_values,
+                " values, but at most 2^31 - 1 are supported");
         scale.resize(static_cast<size_t>(next), 1.0);
     };
     const auto scale_intrinsics = [&](int32_t camera) {

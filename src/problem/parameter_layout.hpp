@@ -14,6 +14,7 @@ struct ParameterBlock {
     int32_t size = 0;
     int32_t image = -1;   // -1: intrinsics of a camera that several images or none use
     int32_t camera = -1;  // -1: a pose alone
+    int32_t matrix = 0;   // first value of its packed lower triangle in an array of all blocks'
 };
 
 // Where each parameter is in a tangent vector (order in clba.h): F scalars first, then 3 a point in
@@ -25,6 +26,7 @@ struct ParameterLayout {
     std::vector<int32_t> pose_offset;             // of each image
     std::vector<int32_t> intrinsics_offset;       // of each camera
     std::vector<double> scale;                    // of each F scalar: uncertainty, or 0 if constant
+    int64_t num_matrix_values = 0;                // of the blocks' packed lower triangles
     int32_t num_f = 0;                            // scalars of the F side
     int32_t num_shared_cameras = 0;               // cameras that more than one image uses
     int32_t max_image_columns = num_pose_params;  // C: 6 + most intrinsics of any camera in use
