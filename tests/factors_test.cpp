@@ -216,8 +216,10 @@ std::vector<test::Shape> shapes() {
     return list;
 }
 
-INSTANTIATE_TEST_SUITE_P(Shapes, FactorsTest, testing::ValuesIn(shapes()),
-                         [](const auto& info) { return info.param.name; });
+const auto name_of = [](const testing::TestParamInfo<test::Shape>& shape) {
+    return shape.param.name;
+};
+INSTANTIATE_TEST_SUITE_P(Shapes, FactorsTest, testing::ValuesIn(shapes()), name_of);
 
 }  // namespace
 }  // namespace clba

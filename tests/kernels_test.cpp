@@ -574,14 +574,14 @@ std::vector<Case> shape_cases() {
 std::vector<Case> chunk_cases() {
     const test::Shape shape = test::loop_shape("chunks", true, 4, 16, 8);
     const Problem everything = main_scene();
-    const uint64_t limit = test::is_small() ? 25'000 : 45'000;  // of floats
+    const uint64_t limit = test::is_small() ? 15'000 : 45'000;  // of floats
     std::vector<Case> cases = {
         {"everything", everything, Precision::mixed, shape, limit},
         {"everything", everything, Precision::double_precision, shape, 2 * limit},
     };
     if (!test::is_small())
         cases.push_back({"repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 200, 50)),
-                         Precision::double_precision, shape, 250'000});
+                         Precision::double_precision, shape, 600'000});
     return cases;
 }
 

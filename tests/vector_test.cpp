@@ -242,8 +242,10 @@ std::vector<test::Shape> shapes() {
     return list;
 }
 
-INSTANTIATE_TEST_SUITE_P(Shapes, VectorTest, testing::ValuesIn(shapes()),
-                         [](const auto& info) { return info.param.name; });
+const auto name_of = [](const testing::TestParamInfo<test::Shape>& shape) {
+    return shape.param.name;
+};
+INSTANTIATE_TEST_SUITE_P(Shapes, VectorTest, testing::ValuesIn(shapes()), name_of);
 
 }  // namespace
 }  // namespace clba
