@@ -122,15 +122,19 @@ def main():
     with open(arguments.output, "w", encoding="utf-8") as file:
         file.write(f"""# Results on real problems
 
-Made by `bench/real_problems.py build/release/bin/clba` on {device}.
+Made by `bench/real_problems.py build/release/src/cli/clba` on {device}.
 
 The cost is 1/2 sum |r|^2 without a loss, all nine parameters of each image free, evaluated by the
 serial fp64 reference. Excess is against Ceres (sparse_schur, fp64, up to 200 iterations). A solve is
 held to be right if it ends within 1e-3 of Ceres or below it, within 1e-2 where Ceres had not
-converged. At most 50 iterations (the
-default) by conjugate gradients and 200 by direct_schur, whose exact steps are slower to converge
-where the problem is ill-conditioned; all else at its defaults. Seconds are of
-one run on a shared machine with two cores, without compiling kernels: read them as orders of size.
+converged. At most 50 iterations (the default) by conjugate gradients and 200 by direct_schur; all else
+at its defaults. Seconds are of one run on a shared machine with two cores, without compiling kernels:
+read them as orders of size.
+
+The default, pcg_schur with schur_jacobi in mixed, is within on every problem. Where another solver is
+not, it met its limit on iterations on an ill-conditioned path of a vehicle: exact steps (direct_schur)
+converge more slowly there than inexact ones, and block_jacobi meets the limit of 500 iterations of
+conjugate gradients in nearly every step.
 
 | problem | images / points / observations | start | Ceres |
 |---|---|---|---|

@@ -504,7 +504,7 @@ typedef struct clba_scene_options {
     int32_t num_points;             /* >= 1; 0: follows from the observations */
     int32_t observations_per_image; /* >= 8, about so many; 400 */
     int32_t reserved;               /* 0 */
-    uint64_t seed;                  /* equal seeds give equal scenes */
+    uint64_t seed;                  /* equal seeds give equal scenes; 0 */
     double pixel_noise;             /* standard deviation, pixels; 0.5 */
     double outlier_share;           /* of observations, moved anywhere in the image; 0 */
     double rotation_noise;          /* of the start, degrees; 0.5 */

@@ -107,9 +107,7 @@ clba_status clba_num_devices(int32_t* num_devices) {
         try {
             *num_devices = static_cast<int32_t>(list_devices().size());
             if (*num_devices == 0)
-                missing =
-                    "the OpenCL loader lists no device; install a driver: a GPU vendor's, or "
-                    "pocl-opencl-icd for the CPU";
+                missing = text("the OpenCL loader lists no device; ", no_device_remedy);
         } catch (const Error& error) {
             if (error.status() != Status::no_device) throw;
             *num_devices = 0;

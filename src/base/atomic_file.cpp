@@ -7,12 +7,20 @@
 #include <atomic>
 #include <cerrno>
 #include <cstring>
+#include <filesystem>
 
 #include "base/error.hpp"
 
 namespace clba {
 
 AtomicFile::AtomicFile(std::string path) : path_(std::move(path)) {
+    std::error_code error;
+    const std::filesystem::file_status status = std::filesystem::status(path_, error);
+    if (std::filesystem::exists(status) && !std::filesystem::is_regular_file(status))
+        fail(Status::file, "cannot write ", path_,
+             ": it exists and is not a regular file; name another");
+    if (std::filesystem::is_symlink(std::filesystem::symlink_status(path_, error)))
+        path_ = std::filesystem::weakly_canonical(path_).string();
     static std::atomic<unsigned> counter{0};
     temporary_ = text(path_, ".", ::getpid(), ".", counter++, ".tmp");
     const int descriptor =

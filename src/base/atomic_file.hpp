@@ -8,8 +8,9 @@ namespace clba {
 
 // A file that appears under its name only when it is complete: written to a temporary beside it
 // (unique to the process and the object) and renamed by commit(). Destroyed before that, the
-// temporary is removed and whatever stood under the name stays. Errors are Status::file and give
-// the path and the system's reason.
+// temporary is removed and whatever stood under the name stays. A link is followed, so that its
+// target is replaced; what exists and is no regular file (a device, a pipe, a folder) is refused.
+// Errors are Status::file and give the path and the system's reason.
 class AtomicFile {
 public:
     explicit AtomicFile(std::string path);

@@ -46,6 +46,7 @@ void add_generate(CLI::App& program) {
     command
         ->add_option("-o,--output", arguments->output,
                      "BAL file of the disturbed start; compressed if it ends in .gz or .bz2")
+        ->check(not_empty)
         ->required();
     command->add_option("--truth", arguments->truth, "BAL file of the true state");
     command->add_option("--images", scene.num_images, "number of images")->capture_default_str();
@@ -63,6 +64,7 @@ void add_generate(CLI::App& program) {
                      "share of observations moved anywhere in the image")
         ->capture_default_str();
     command->add_option("--seed", scene.seed, "equal seeds give equal scenes")
+        ->check(non_negative_number)
         ->capture_default_str();
     command
         ->add_option("--rotation-noise", scene.rotation_noise,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
 #include <exception>
+#include <string>
 
 #include "cli/commands.hpp"
 #include "cli/exit_code.hpp"
@@ -33,9 +34,9 @@ int main(int argc, char** argv) try {
     try {
         program.parse(argc, argv);
     } catch (const CLI::ParseError& error) {
-        const bool asked = error.get_exit_code() == 0;  // --help, --version
-        program.exit(error);
-        return asked ? 0 : static_cast<int>(cli::ExitCode::usage);
+        if (error.get_exit_code() == 0) return program.exit(error);  // --help, --version
+        const std::string message = std::string(error.what()) + "; see clba --help";
+        return report_error(cli::ExitCode::usage, message.c_str());
     }
     return result;
 } catch (const cli::Failure& failure) {

@@ -25,6 +25,11 @@ const CLI::Validator positive_number =
     number([](double value) { return value > 0; }, "finite number above 0");
 const CLI::Validator non_negative_number =
     number([](double value) { return value >= 0; }, "finite number, 0 or above");
+const CLI::Validator not_empty(
+    [](const std::string& text) {
+        return text.empty() ? "an empty text names no file" : std::string();
+    },
+    "");
 
 CLI::Option* add_choice(CLI::App& command, const std::string& names, int32_t& value,
                         const char* (*name_of)(int32_t), const std::string& description) {

@@ -14,5 +14,7 @@ CLI::Option* add_choice(CLI::App& command, const std::string& names, int32_t& va
 // Checks of an option's value: a finite number of that sign.
 extern const CLI::Validator positive_number;
 extern const CLI::Validator non_negative_number;
+// A text that is not empty, as it is where a shell variable was not set.
+extern const CLI::Validator not_empty;
 
 }  // namespace cli

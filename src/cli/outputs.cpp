@@ -21,9 +21,13 @@ void check_output(const fs::path& path) {
     std::error_code ignored;
     if (!fs::is_directory(folder, ignored))
         throw Failure(ExitCode::file, path.string() + ": there is no folder " + folder.string() +
-                                          " to write to; create it first");
+                                          " to write to; create it, or name another");
     if (fs::is_directory(path, ignored) || !path.has_filename())
-        throw Failure(ExitCode::file, path.string() + ": is a folder, not a file to write");
+        throw Failure(ExitCode::file,
+                      path.string() + ": this is a folder; name a file in it to write");
+    if (fs::exists(path, ignored) && !fs::is_regular_file(path, ignored))
+        throw Failure(ExitCode::file,
+                      path.string() + ": exists and is not a regular file; name another");
     if (::access(folder.c_str(), W_OK | X_OK) != 0)
         throw Failure(ExitCode::file, path.string() + ": cannot write to folder " +
                                           folder.string() + ": " + std::strerror(errno));
@@ -37,11 +41,13 @@ void check_outputs(const std::vector<std::string>& paths) {
         if (path.empty()) continue;
         check_output(path);
         if (!seen.insert(fs::weakly_canonical(fs::absolute(path))).second)
-            throw Failure(ExitCode::usage, path + ": two outputs have this name");
+            throw Failure(ExitCode::usage,
+                          path + ": two outputs have this name; name one of them otherwise");
     }
 }
 
-void write_text(const std::string& path, const std::string& text) {
+void write_text(const std::string& name, const std::string& text) {
+    const std::string path = fs::weakly_canonical(fs::absolute(name)).string();  // links followed
     const std::string temporary = path + ".tmp." + std::to_string(::getpid());
     std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
     file << text;

@@ -9,7 +9,7 @@ namespace cli {
 // before writing, and no two are the same: a long solve must not be lost to a missing folder.
 void check_outputs(const std::vector<std::string>& paths);
 
-// Written to a temporary beside `path` and renamed: an error leaves what was there.
-void write_text(const std::string& path, const std::string& text);
+// Written to a temporary beside the file and renamed: an error leaves what was there.
+void write_text(const std::string& name, const std::string& text);
 
 }  // namespace cli

@@ -119,6 +119,9 @@ ExitCode solve(const SolveArguments& arguments) {
                     clba_result_report(result.get()), median);
 
     const clba_summary summary = summary_of(result.get());
+    if (exit_code_of(summary) == ExitCode::not_solved)
+        std::fprintf(stderr, "clba: error: %s: not solved: %s\n", arguments.file.c_str(),
+                     summary.message);
     if (arguments.verify && exit_code_of(summary) == ExitCode::ok) {
         json["verify"] = verify(problem.get(), summary, start.get(), context.get(),
                                 arguments.options, arguments.quiet);
@@ -128,10 +131,14 @@ ExitCode solve(const SolveArguments& arguments) {
 }
 
 void add_output_options(CLI::App& command, SolveArguments& arguments) {
-    command.add_option("-o,--output", arguments.output,
-                       "BAL file of the solution; compressed if it ends in .gz or .bz2");
-    command.add_option("--ply", arguments.ply, "PLY file of points and camera centres");
-    command.add_option("--json", arguments.json, "JSON file of the summary and every iteration");
+    command
+        .add_option("-o,--output", arguments.output,
+                    "BAL file of the solution; compressed if it ends in .gz or .bz2")
+        ->check(not_empty);
+    command.add_option("--ply", arguments.ply, "PLY file of points and camera centres")
+        ->check(not_empty);
+    command.add_option("--json", arguments.json, "JSON file of the summary and every iteration")
+        ->check(not_empty);
     command.add_flag("--verify", arguments.verify,
                      "solve again by direct_schur in double precision and compare");
     command.add_flag("--quiet", arguments.quiet, "print errors only");

@@ -48,9 +48,7 @@ std::string lower(std::string value) {
 }
 
 std::string list_text(const std::vector<DeviceInfo>& devices) {
-    if (devices.empty())
-        return "there is no OpenCL device at all; install a driver: a GPU vendor's, or "
-               "pocl-opencl-icd for the CPU";
+    if (devices.empty()) return text("there is no OpenCL device at all; ", no_device_remedy);
     std::string list = "the devices are";
     for (const DeviceInfo& device : devices)
         list += text(device.index ? ", " : " ", device.index, ": ", device.name, " (",
@@ -59,6 +57,10 @@ std::string list_text(const std::vector<DeviceInfo>& devices) {
 }
 
 }  // namespace
+
+const char* const no_device_remedy =
+    "install a driver: a GPU vendor's, or pocl-opencl-icd for the CPU (which needs a folder it can "
+    "write to: HOME, or POCL_CACHE_DIR)";
 
 std::vector<DeviceInfo> list_devices() {
     OpenCl& cl = opencl();

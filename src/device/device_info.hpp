@@ -25,6 +25,9 @@ struct DeviceInfo {
     _cl_device_id* id = nullptr;
 };
 
+// What to do where there is no device.
+extern const char* const no_device_remedy;
+
 // All devices of all platforms, in the loader's order. Empty without platforms; throws no_device
 // without a loader.
 std::vector<DeviceInfo> list_devices();

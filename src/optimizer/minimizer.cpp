@@ -177,7 +177,7 @@ private:
         const bool goes_on = !options_.on_iteration || options_.on_iteration(row_);
         if (has_converged()) return true;
         if (!goes_on) {
-            end(Termination::user_stop, Reason::callback, "The iteration callback stopped it.");
+            end(Termination::user_stop, Reason::callback, "Stopped by the caller.");
             return true;
         }
         if (consecutive_invalid_steps_ > options_.max_consecutive_invalid_steps) {
