@@ -9,20 +9,19 @@
 
 namespace clba {
 
-#define CLBA_OPENCL_FUNCTIONS(F)                                                                 \
-    F(clGetPlatformIDs)                                                                          \
-    F(clGetPlatformInfo) F(clGetDeviceIDs) F(clGetDeviceInfo) F(clCreateContext)                 \
-        F(clRetainContext) F(clReleaseContext) F(clGetContextInfo) F(clCreateCommandQueue)       \
-            F(clRetainCommandQueue) F(clReleaseCommandQueue) F(clGetCommandQueueInfo)            \
-                F(clCreateBuffer) F(clReleaseMemObject) F(clEnqueueReadBuffer)                   \
-                    F(clEnqueueWriteBuffer) F(clEnqueueFillBuffer) F(clEnqueueCopyBuffer)        \
-                        F(clEnqueueMapBuffer) F(clEnqueueUnmapMemObject)                         \
-                            F(clCreateProgramWithSource) F(clCreateProgramWithBinary)            \
-                                F(clBuildProgram) F(clGetProgramInfo) F(clGetProgramBuildInfo)   \
-                                    F(clReleaseProgram) F(clCreateKernel) F(clReleaseKernel)     \
-                                        F(clSetKernelArg) F(clGetKernelWorkGroupInfo)            \
-                                            F(clEnqueueNDRangeKernel) F(clGetEventProfilingInfo) \
-                                                F(clReleaseEvent) F(clFlush) F(clFinish)
+// clang-format off
+#define CLBA_OPENCL_FUNCTIONS(F) \
+    F(clGetPlatformIDs) F(clGetPlatformInfo) F(clGetDeviceIDs) F(clGetDeviceInfo) \
+    F(clCreateContext) F(clRetainContext) F(clReleaseContext) F(clGetContextInfo) \
+    F(clCreateCommandQueue) F(clRetainCommandQueue) F(clReleaseCommandQueue) \
+    F(clGetCommandQueueInfo) F(clCreateBuffer) F(clReleaseMemObject) F(clEnqueueReadBuffer) \
+    F(clEnqueueWriteBuffer) F(clEnqueueFillBuffer) F(clEnqueueCopyBuffer) F(clEnqueueMapBuffer) \
+    F(clEnqueueUnmapMemObject) F(clCreateProgramWithSource) F(clCreateProgramWithBinary) \
+    F(clBuildProgram) F(clGetProgramInfo) F(clGetProgramBuildInfo) F(clReleaseProgram) \
+    F(clCreateKernel) F(clReleaseKernel) F(clSetKernelArg) F(clGetKernelWorkGroupInfo) \
+    F(clEnqueueNDRangeKernel) F(clGetEventProfilingInfo) F(clReleaseEvent) F(clFlush) \
+    F(clFinish)
+// clang-format on
 
 struct OpenCl {
 #define CLBA_DECLARE(name) decltype(&::name) name = nullptr;
