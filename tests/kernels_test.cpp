@@ -630,8 +630,8 @@ INSTANTIATE_TEST_SUITE_P(Policies, DampingTest,
 
 // All that the kernels leave for a solver, as bits.
 std::vector<double> all_results(const Problem& problem, Precision precision,
-                                const test::Shape& shape, uint64_t max_allocation_bytes) {
-    const auto context = test::test_context(max_allocation_bytes);
+                                const test::Shape& shape) {
+    const auto context = test::test_context();
     test::set_shape(*context, shape);
     Rig rig(context, problem, precision);
     std::vector<double> all = {rig.cost().cost};
@@ -662,11 +662,11 @@ std::vector<double> all_results(const Problem& problem, Precision precision,
 TEST(Determinism, TwoRunsGiveEqualBits) {
     const Problem problem = main_scene();
     for (const test::Shape& shape : {test::device_shape(), test::group_shape(7, 3, 3, 5)})
-        EXPECT_EQ(all_results(problem, Precision::mixed, shape, 0),
-                  all_results(problem, Precision::mixed, shape, 0));
+        EXPECT_EQ(all_results(problem, Precision::mixed, shape),
+                  all_results(problem, Precision::mixed, shape));
 }
 
-// What each observation and each point has does not depend on how tiles are spread over chunks.
+// So that the cases above do test several.
 TEST(Chunks, AreSeveralBelowTheLimit) {
     for (const Case& c : chunk_cases()) {
         const auto context = test::test_context(c.max_allocation_bytes);
