@@ -51,7 +51,8 @@ void expect_points_in_tiles(const Problem& problem, const TileOptions& options,
                 tile + 1 < chunk.num_tiles() ? chunk.tile_points[tile + 1] : chunk.num_point_slots;
             const int32_t num_points = chunk.tile_num_points[tile];
             EXPECT_GE(num_points, 1);
-            EXPECT_LE(num_points, options.points_per_tile);
+            EXPECT_LE(num_points, options.points_per_tile > 0 ? options.points_per_tile
+                                                              : options.max_points_per_tile);
             EXPECT_EQ(begin % options.lanes, 0);
             EXPECT_GE(end - begin - num_points, options.lanes) << "spare slots";
             for (int32_t slot = begin; slot < end; ++slot) {
@@ -206,7 +207,7 @@ TEST(VisibilityTiles, OneObservationIsOneRun) {
     ASSERT_EQ(tiles.chunks.size(), 1u);
     ASSERT_EQ(tiles.chunks[0].segments.size(), 1u);
     const Segment& segment = tiles.chunks[0].segments[0];
-    EXPECT_EQ(segment.slot_observation, (std::vector<int64_t>{0, -1, -1, -1, -1, -1, -1, -1}));
+    EXPECT_EQ(segment.slot_observation, (std::vector<int32_t>{0, -1, -1, -1, -1, -1, -1, -1}));
     EXPECT_EQ(segment.slot_point, (std::vector<uint16_t>{0, 1, 2, 3, 4, 5, 6, 7}));
     EXPECT_EQ(tiles.chunks[0].num_point_slots, 16);
 }
@@ -217,7 +218,7 @@ TEST(VisibilityTiles, RepeatedPairsGetRunsOfTheirOwn) {
     expect_tiles(problem, tile_options(64, 4));
     const VisibilityTiles tiles(problem, ParameterLayout(problem), tile_options(64, 4));
     EXPECT_EQ(tiles.chunks[0].segments[0].slot_observation,
-              (std::vector<int64_t>{0, 1, 3, -1, 2, 4, -1, -1, 5, -1, -1, -1}));
+              (std::vector<int32_t>{0, 1, 3, -1, 2, 4, -1, -1, 5, -1, -1, -1}));
 }
 
 // A tile that ends in a chunk which it does not fit must count repeats anew in the next.
@@ -228,7 +229,7 @@ TEST(VisibilityTiles, ManyRepeatedPairsKeepChunksBelowTheLimit) {
             for (int32_t point = 0; point < 40; ++point)
                 problem.observations.push_back({(point + repeat) % 3, point, 0, 0});
         TileOptions options = tile_options(points_per_tile, 16);
-        options.max_buffer_bytes = 1'000'000;
+        options.max_buffer_bytes = 300'000;
         expect_tiles(problem, options);
         const VisibilityTiles tiles(problem, ParameterLayout(problem), options);
         EXPECT_GT(tiles.chunks.size(), 1u);
@@ -257,7 +258,7 @@ TEST(VisibilityTiles, LargestTilesUseAll16Bits) {
     expect_tiles(problem, tile_options(most, 16));
     EXPECT_THROW(VisibilityTiles(problem, ParameterLayout(problem), tile_options(most + 1, 16)),
                  Error);
-    EXPECT_THROW(VisibilityTiles(problem, ParameterLayout(problem), tile_options(0, 16)), Error);
+    EXPECT_THROW(VisibilityTiles(problem, ParameterLayout(problem), tile_options(-1, 16)), Error);
     EXPECT_THROW(VisibilityTiles(problem, ParameterLayout(problem), tile_options(4, 0)), Error);
 }
 
@@ -295,6 +296,75 @@ TEST(VisibilityTiles, RandomProblemsKeepAllRules) {
         if (HasFailure()) return;
     }
     EXPECT_GE(num_chunked, 50);
+}
+
+int64_t num_runs(const VisibilityTiles& tiles) {
+    int64_t number = 0;
+    for (const Chunk& chunk : tiles.chunks)
+        for (const Segment& segment : chunk.segments) number += segment.num_runs();
+    return number;
+}
+
+// A path of images; image i sees points 40 i ... 40 i + 119.
+Problem path(int num_images, const std::vector<int32_t>& name) {
+    Problem problem =
+        structure({camera_snavely}, std::vector<int32_t>(name.size(), 0), 40 * num_images + 80);
+    for (int32_t point = 0; point < problem.num_points(); ++point)
+        for (int32_t image = std::max(0, point / 40 - 2);
+             image <= std::min(num_images - 1, point / 40); ++image)
+            problem.observations.push_back({name[static_cast<size_t>(image)], point, 0, 0});
+    return problem;
+}
+
+TEST(VisibilityTiles, NamesOfImagesDoNotMatter) {
+    constexpr int num_images = 600;
+    std::vector<int32_t> name(num_images);
+    std::iota(name.begin(), name.end(), 0);
+    const Problem in_order = path(num_images, name);
+    std::shuffle(name.begin(), name.end(), std::mt19937_64(2));
+    const Problem shuffled = path(num_images, name);
+    const TileOptions options = tile_options(400, 16);
+    expect_tiles(shuffled, options);
+    const VisibilityTiles wanted(in_order, ParameterLayout(in_order), options);
+    const VisibilityTiles tiles(shuffled, ParameterLayout(shuffled), options);
+    // A tile of 400 points along the path is seen by 12 images; 2 more where it is cut otherwise.
+    EXPECT_LE(num_runs(wanted), 12 * wanted.chunks[0].num_tiles());
+    EXPECT_LE(num_runs(tiles), 14 * wanted.chunks[0].num_tiles());
+}
+
+TEST(VisibilityTiles, ChosenTilesShareTheWorkAndFit) {
+    const Problem problem = test::small_scene(40, 3000, {camera_snavely, camera_opencv}, false, 3);
+    TileOptions options = tile_options(0, 16);
+    options.max_points_per_tile = 500;
+    expect_tiles(problem, options);
+    options.max_points_per_tile = 16384;
+    for (int32_t units : {1, 2, 3, 8}) {
+        options.compute_units = units;
+        expect_tiles(problem, options);
+        const VisibilityTiles tiles(problem, ParameterLayout(problem), options);
+        EXPECT_GE(tiles.chunks[0].num_tiles(), units);
+    }
+    options.compute_units = 1;
+    options.max_buffer_bytes = 200'000;  // tiles become smaller rather than too large
+    expect_tiles(problem, options);
+}
+
+// Large enough for several threads: twice the same, whichever takes which tile.
+TEST(VisibilityTiles, TilesAreTheSameTwice) {
+    const Problem problem = test::small_scene(60, 40000, {camera_snavely}, false, 5);
+    const TileOptions options = tile_options(0, 16);
+    expect_tiles(problem, options);
+    const VisibilityTiles a(problem, ParameterLayout(problem), options);
+    const VisibilityTiles b(problem, ParameterLayout(problem), options);
+    ASSERT_EQ(a.chunks.size(), b.chunks.size());
+    for (size_t c = 0; c < a.chunks.size(); ++c) {
+        EXPECT_EQ(a.chunks[c].slot_point, b.chunks[c].slot_point);
+        for (size_t s = 0; s < a.chunks[c].segments.size(); ++s) {
+            EXPECT_EQ(a.chunks[c].segments[s].run_image, b.chunks[c].segments[s].run_image);
+            EXPECT_EQ(a.chunks[c].segments[s].slot_observation,
+                      b.chunks[c].segments[s].slot_observation);
+        }
+    }
 }
 
 }  // namespace

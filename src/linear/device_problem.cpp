@@ -2,23 +2,28 @@
 #include "linear/device_problem.hpp"
 
 #include "base/error.hpp"
+#include "base/parallel.hpp"
 
 namespace clba {
 namespace {
 
-// Small problems get more than one tile a compute unit, if tiles stay large enough for long runs.
-TileOptions tile_options(const Context& context, const Problem& problem, Precision precision) {
-    constexpr int32_t smallest_tile = 64;
-    constexpr int32_t tiles_per_compute_unit = 4;
+TileOptions tile_options(const Context& context, Precision precision) {
     TileOptions options;
-    const int32_t share =
-        problem.num_points() / (tiles_per_compute_unit * context.device().compute_units);
-    options.points_per_tile =
-        std::min(context.tuning.points_per_tile, std::max(share, smallest_tile));
+    options.max_points_per_tile = context.tuning.points_per_tile;
+    options.compute_units = context.device().compute_units;
     options.lanes = context.tuning.lanes;
     options.bytes_per_value = static_cast<int64_t>(real_bytes(precision));
     options.max_buffer_bytes = context.max_allocation_bytes();
     return options;
+}
+
+// In several threads.
+template <class Visit>
+void for_slots(int64_t num_slots, Visit&& visit) {
+    constexpr int64_t grain = 1 << 14;
+    parallel_ranges(num_slots, grain, [&](int64_t begin, int64_t end) {
+        for (int64_t slot = begin; slot < end; ++slot) visit(slot);
+    });
 }
 
 void require_double(const Context& context) {
@@ -34,7 +39,7 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     : queue_((require_double(*context), context)),
       precision_(precision),
       layout_(problem),
-      tiles_(problem, layout_, tile_options(*context, problem, precision)),
+      tiles_(problem, layout_, tile_options(*context, precision)),
       vectors_(queue_, real_type(precision)),
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),
@@ -130,12 +135,12 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
         buffer = Buffer(queue_, sizeof(double) * static_cast<uint64_t>(rows * segment.num_slots()),
                         "observations");
         const auto mapping = buffer.map_write<double>();
-        std::fill_n(mapping.data(), static_cast<int64_t>(rows) * segment.num_slots(), 0.0);
         detail::walk_slots(segment, rows, mapping.data(),
                            [&](int64_t observation, int, auto&& slot) {
                                for (int row = 0; row < rows; ++row)
                                    slot(row) = value(observation, row);
                            });
+        detail::clear_padding(segment, rows, mapping.data());
     };
     fill(device_segment.xy, 2, [&](int64_t observation, int row) {
         const Observation& o = problem.observations[observation];
@@ -206,10 +211,11 @@ void DeviceProblem::upload_state(const Problem& problem) {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
         const auto rows = state.points[c].map_write<double>();
-        for (int64_t slot = 0; slot < n; ++slot)
+        for_slots(n, [&](int64_t slot) {
             for (int k = 0; k < 3; ++k)
                 rows[k * n + slot] =
                     slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k];
+        });
     }
 }
 
@@ -233,10 +239,11 @@ void DeviceProblem::download_state(Problem& problem) const {
     for (size_t c = 0; c < chunks_.size(); ++c) {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
-        for (int64_t slot = 0; slot < n; ++slot)
+        for_slots(n, [&](int64_t slot) {
             if (slot_point[slot] >= 0)
                 for (int k = 0; k < 3; ++k)
                     problem.points[slot_point[slot]][k] = (*points[c])[k * n + slot];
+        });
     }
 }
 
@@ -246,12 +253,13 @@ void DeviceProblem::upload(const double* values, Vector& vector) const {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
         const auto rows = vector.e[c].map_write<double>();
-        for (int64_t slot = 0; slot < n; ++slot)
+        for_slots(n, [&](int64_t slot) {
             for (int k = 0; k < 3; ++k)
                 rows[k * n + slot] =
                     slot_point[slot] < 0
                         ? 0.0
                         : values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k];
+        });
     }
 }
 
@@ -261,10 +269,11 @@ void DeviceProblem::download(const Vector& vector, double* values) const {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
         const auto rows = vector.e[c].map_read<double>();
-        for (int64_t slot = 0; slot < n; ++slot)
+        for_slots(n, [&](int64_t slot) {
             if (slot_point[slot] >= 0)
                 for (int k = 0; k < 3; ++k)
                     values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k] = rows[k * n + slot];
+        });
     }
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "base/parallel.hpp"
 #include "device/queue.hpp"
 #include "linear/vector.hpp"
 #include "problem/parameter_layout.hpp"
@@ -88,7 +89,8 @@ public:
     void upload(const double* values, Vector& vector) const;
     void download(const Vector& vector, double* values) const;
     // visit(observation, num_columns, value) for each observation's slot in buffers made by
-    // make_slot_rows; value(row) is a reference to what the slot has in that row.
+    // make_slot_rows, in several threads; value(row) is a reference to what the slot has in that
+    // row.
     template <class Value, class RowsOf, class Visit>
     void visit_slots(const std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit) const;
     // The same, to write: slots that hold no observation are 0.
@@ -146,19 +148,43 @@ std::vector<Buffer> DeviceProblem::make_slot_rows(RowsOf&& rows_of, size_t value
 
 namespace detail {
 
-// Walks the slots of a segment; base points to the segment's rows.
+// visit(first slot, number of slots, number of observations) for each run, in several threads. A
+// run's padding follows its observations.
+template <class Visit>
+void walk_runs(const Segment& segment, Visit&& visit) {
+    constexpr int64_t slots_per_grain = 1 << 14;
+    const int64_t grain =
+        std::max<int64_t>(slots_per_grain * segment.num_runs() / (segment.num_slots() + 1), 1);
+    parallel_ranges(segment.num_runs(), grain, [&](int64_t first_run, int64_t end_run) {
+        for (int64_t run = first_run; run < end_run; ++run) {
+            const int64_t first = segment.run_slots[run];
+            const int64_t n = segment.run_slots[run + 1] - first;
+            int64_t num_observations = n;
+            while (segment.slot_observation[first + num_observations - 1] < 0) --num_observations;
+            visit(first, n, num_observations);
+        }
+    });
+}
+
+// visit(observation, num_columns, value) for the observations of a segment, in several threads;
+// base points to the segment's rows.
 template <class Value, class Visit>
 void walk_slots(const Segment& segment, int rows, Value* base, Visit&& visit) {
-    for (int32_t run = 0; run < segment.num_runs(); ++run) {
-        const int64_t first = segment.run_slots[run];
-        const int64_t n = segment.run_slots[run + 1] - first;
-        for (int64_t l = 0; l < n; ++l) {
-            const int64_t observation = segment.slot_observation[first + l];
-            if (observation >= 0)
-                visit(observation, segment.num_columns(),
-                      [&](int row) -> Value& { return base[rows * first + row * n + l]; });
-        }
-    }
+    walk_runs(segment, [&](int64_t first, int64_t n, int64_t num_observations) {
+        for (int64_t l = 0; l < num_observations; ++l)
+            visit(int64_t{segment.slot_observation[first + l]}, segment.num_columns(),
+                  [&](int row) -> Value& { return base[rows * first + row * n + l]; });
+    });
+}
+
+// Sets the slots that hold no observation to 0.
+template <class Value>
+void clear_padding(const Segment& segment, int rows, Value* base) {
+    walk_runs(segment, [&](int64_t first, int64_t n, int64_t num_observations) {
+        for (int row = 0; row < rows; ++row)
+            std::fill_n(base + rows * first + row * n + num_observations, n - num_observations,
+                        Value{0});
+    });
 }
 
 }  // namespace detail
@@ -180,10 +206,9 @@ void DeviceProblem::fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Vis
     size_t index = 0;
     for (const Chunk& chunk : tiles_.chunks) {
         for (const Segment& segment : chunk.segments) {
-            Buffer& buffer = slots[index++];
-            const auto mapping = buffer.map_write<Value>();
-            std::fill_n(mapping.data(), buffer.bytes() / sizeof(Value), Value{0});
+            const auto mapping = slots[index++].map_write<Value>();
             detail::walk_slots(segment, rows_of(segment.num_columns()), mapping.data(), visit);
+            detail::clear_padding(segment, rows_of(segment.num_columns()), mapping.data());
         }
     }
 }

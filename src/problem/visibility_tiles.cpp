@@ -3,9 +3,13 @@
 
 #include <algorithm>
 #include <limits>
-#include <numeric>
+#include <memory>
+#include <tuple>
 
 #include "base/error.hpp"
+#include "base/parallel.hpp"
+#include "problem/point_order.hpp"
+#include "problem/tile_size.hpp"
 
 namespace clba {
 namespace {
@@ -18,211 +22,303 @@ Integer round_up(Integer value, Integer multiple) {
     return (value + multiple - 1) / multiple * multiple;
 }
 
-// Observations of each point, in the caller's order.
-struct PointObservations {
-    explicit PointObservations(const Problem& problem)
-        : begin(problem.points.size() + 1, 0), rows(problem.observations.size()) {
-        for (const Observation& o : problem.observations) ++begin[o.point + 1];
-        std::partial_sum(begin.begin(), begin.end(), begin.begin());
-        std::vector<int64_t> next(begin.begin(), begin.end() - 1);
-        for (int64_t i = 0; i < problem.num_observations(); ++i)
-            rows[next[problem.observations[i].point]++] = i;
-    }
-    std::vector<int64_t> begin;
-    std::vector<int64_t> rows;
+struct Run {
+    int32_t image;
+    int32_t repeat;  // how many times before the image saw these points
+    int32_t num_observations;
 };
 
-// Points by the middle one of the images that see them; equal ones in the caller's order. Points
-// that no image sees come last.
-std::vector<int32_t> ordered_points(const Problem& problem, const PointObservations& observations) {
-    std::vector<int32_t> key(problem.points.size());
-    std::vector<int32_t> seen_by;
-    for (int32_t p = 0; p < problem.num_points(); ++p) {
-        seen_by.clear();
-        for (int64_t i = observations.begin[p]; i < observations.begin[p + 1]; ++i)
-            seen_by.push_back(problem.observations[observations.rows[i]].image);
-        if (seen_by.empty()) {
-            key[p] = problem.num_images();
-        } else {
-            const auto middle = seen_by.begin() + static_cast<int64_t>(seen_by.size() / 2);
-            std::nth_element(seen_by.begin(), middle, seen_by.end());
-            key[p] = *middle;
+// A tile's share of a segment.
+struct Share {
+    int64_t num_runs = 0, num_slots = 0;
+    int64_t first_run = 0, first_slot = 0;
+};
+
+struct Tile {
+    int32_t first = 0, end = 0;  // of the ordered points
+    std::vector<Run> runs;       // by repeat, and then as the tile's points meet the images
+    std::vector<Share> shares;   // one a segment
+    Chunk* chunk = nullptr;
+    int32_t num_points() const { return end - first; }
+};
+
+// The camera models in use, each with its segment, and the segment of each image.
+struct Models {
+    explicit Models(const Problem& problem) : segment_of_image(problem.images.size()) {
+        std::vector<int32_t> segment_of_model(num_camera_models, -1);
+        for (const Image& image : problem.images)
+            segment_of_model[problem.cameras[image.camera].model] = 0;
+        for (int32_t model = 0; model < num_camera_models; ++model) {
+            if (segment_of_model[model] < 0) continue;
+            segment_of_model[model] = static_cast<int32_t>(numbers.size());
+            numbers.push_back(model);
+        }
+        for (size_t i = 0; i < problem.images.size(); ++i)
+            segment_of_image[i] = segment_of_model[problem.cameras[problem.images[i].camera].model];
+    }
+    std::vector<int32_t> numbers;
+    std::vector<int32_t> segment_of_image;
+};
+
+// A worker's scratch, which groups the sights of a tile's points into runs.
+class TileReader {
+public:
+    TileReader(const Visibility& visibility, const std::vector<int32_t>& order,
+               const Models& models, int32_t lanes)
+        : visibility_(visibility),
+          order_(order),
+          lanes_(lanes),
+          num_segments_(models.numbers.size()),
+          images_(models.segment_of_image.size()) {
+        for (size_t i = 0; i < images_.size(); ++i) images_[i].segment = models.segment_of_image[i];
+    }
+
+    void find_runs(Tile& tile) {
+        for_each_first_sight(tile, [&](const Sight& sight, int32_t, OfImage& image) {
+            if (image.value++ == 0) tile.runs.push_back({sight.image, 0, 0});
+        });
+        for (Run& run : tile.runs) {
+            run.num_observations = images_[run.image].value;
+            images_[run.image].value = 0;
+        }
+        for (const Again& again : again_) {
+            if (tile.runs.back().repeat != again.repeat || tile.runs.back().image != again.image)
+                tile.runs.push_back({again.image, again.repeat, 0});
+            ++tile.runs.back().num_observations;
+        }
+        tile.shares.resize(num_segments_);
+        for (const Run& run : tile.runs) {
+            Share& share = tile.shares[images_[run.image].segment];
+            ++share.num_runs;
+            share.num_slots += round_up(run.num_observations, lanes_);
         }
     }
-    std::vector<int32_t> begin(problem.images.size() + 2, 0);
-    for (int32_t k : key) ++begin[k + 1];
-    std::partial_sum(begin.begin(), begin.end(), begin.begin());
-    std::vector<int32_t> order(problem.points.size());
-    for (int32_t p = 0; p < problem.num_points(); ++p) order[begin[key[p]]++] = p;
-    return order;
-}
 
-struct Visit {
-    int32_t image;
-    int32_t repeat;  // how many times the image saw this point before
-    uint16_t point;  // slot in the tile
-    int64_t observation;
+    // Writes the tile's runs and slots into its chunk.
+    void write_runs(const Tile& tile) {
+        std::vector<Segment>& segments = tile.chunk->segments;
+        std::vector<Share> next = tile.shares;
+        std::vector<int64_t> first_again;  // slots of runs with a repeat
+        for (const Run& run : tile.runs) {
+            Segment& segment = segments[images_[run.image].segment];
+            Share& share = next[images_[run.image].segment];
+            const int64_t first = share.first_slot;
+            segment.run_image[share.first_run] = run.image;
+            segment.run_slots[share.first_run] = static_cast<int32_t>(first);
+            ++share.first_run;
+            share.first_slot += round_up(run.num_observations, lanes_);
+            for (int64_t slot = first + run.num_observations, spare = tile.num_points();
+                 slot < share.first_slot; ++slot, ++spare) {
+                segment.slot_point[slot] = static_cast<uint16_t>(spare);
+                segment.slot_observation[slot] = -1;
+            }
+            if (run.repeat == 0)
+                images_[run.image].value = static_cast<int32_t>(first);
+            else
+                first_again.push_back(first);
+        }
+        const auto write = [&](Segment& segment, int64_t slot, int32_t point, int32_t observation) {
+            segment.slot_point[slot] = static_cast<uint16_t>(point);
+            segment.slot_observation[slot] = observation;
+        };
+        for_each_first_sight(tile, [&](const Sight& sight, int32_t point, OfImage& image) {
+            write(segments[image.segment], image.value++, point, sight.observation);
+        });
+        auto again = again_.begin();
+        auto first = first_again.begin();
+        for (const Run& run : tile.runs) {
+            images_[run.image].value = 0;
+            if (run.repeat == 0) continue;
+            for (int32_t k = 0; k < run.num_observations; ++k, ++again)
+                write(segments[images_[run.image].segment], *first + k, again->point,
+                      again->observation);
+            ++first;
+        }
+    }
+
+private:
+    struct OfImage {
+        uint32_t last_visit = 0;
+        int32_t repeat = 0;
+        int32_t value = 0;  // observations so far, or the next slot; 0 between calls
+        int32_t segment = 0;
+    };
+    struct Again {
+        int32_t repeat, image, point, observation;
+    };
+
+    // visit(sight, point in the tile, image) for the first sight of each pair of an image and a
+    // point. The others go to again_, by repeat and image.
+    template <class Visit>
+    void for_each_first_sight(const Tile& tile, Visit&& visit) {
+        again_.clear();
+        for (int32_t i = tile.first; i < tile.end; ++i) {
+            ++visit_;
+            for (const Sight& sight : visibility_.of_point(order_[i])) {
+                OfImage& image = images_[sight.image];
+                if (image.last_visit != visit_) {
+                    image.last_visit = visit_;
+                    image.repeat = 0;
+                    visit(sight, i - tile.first, image);
+                } else {
+                    again_.push_back(
+                        {++image.repeat, sight.image, i - tile.first, sight.observation});
+                }
+            }
+        }
+        std::stable_sort(again_.begin(), again_.end(), [](const Again& a, const Again& b) {
+            return std::tie(a.repeat, a.image) < std::tie(b.repeat, b.image);
+        });
+    }
+
+    const Visibility& visibility_;
+    const std::vector<int32_t>& order_;
+    const int32_t lanes_;
+    const size_t num_segments_;
+    std::vector<OfImage> images_;
+    std::vector<Again> again_;
+    uint32_t visit_ = 0;  // counts the points looked at
 };
 
 class Builder {
 public:
     Builder(const Problem& problem, const TileOptions& options)
-        : problem_(problem),
-          options_(options),
-          last_point_(problem.images.size(), -1),
-          repeats_(problem.images.size(), 0),
-          next_(problem.images.size(), 0) {
-        std::vector<char> is_used(num_camera_models, 0);
-        for (const Image& image : problem.images) is_used[problem.cameras[image.camera].model] = 1;
-        for (int32_t model = 0; model < num_camera_models; ++model)
-            if (is_used[model]) models_.push_back(model);
-    }
+        : options_(options),
+          models_(problem),
+          visibility_(problem),
+          order_(ordered_points(visibility_, image_ranks(visibility_, problem.num_images()))),
+          readers_(static_cast<size_t>(num_workers())) {}
 
-    // Adds tiles of the ordered points until one of the chunk's buffers would outgrow the limit.
-    // Returns the first point that is left.
-    size_t build_chunk(const std::vector<int32_t>& order, size_t first,
-                       const PointObservations& observations, Chunk& chunk) {
-        for (int32_t model : models_) {
-            Segment segment;
-            segment.model = model;
-            segment.tile_runs.push_back(0);
-            segment.run_slots.push_back(0);
-            chunk.segments.push_back(std::move(segment));
-        }
-        while (first < order.size()) {
-            const size_t end =
-                std::min(order.size(), first + static_cast<size_t>(options_.points_per_tile));
-            const auto num_points = static_cast<int32_t>(end - first);
-            collect_visits(order, first, end, observations);
-            if (!tile_fits(num_points, chunk)) {
-                if (chunk.num_tiles() > 0) return first;
-                fail(Status::out_of_memory, "a tile of ", num_points,
-                     " points does not fit one buffer of ", options_.max_buffer_bytes,
-                     " bytes; raise max_allocation_bytes");
-            }
-            chunk.tile_points.push_back(chunk.num_point_slots);
-            chunk.tile_num_points.push_back(num_points);
-            const int32_t num_slots =
-                round_up(num_points + options_.lanes, static_cast<int32_t>(options_.lanes));
-            chunk.slot_point.insert(chunk.slot_point.end(),
-                                    order.begin() + static_cast<long>(first),
-                                    order.begin() + static_cast<long>(end));
-            chunk.num_point_slots += num_slots;
-            chunk.slot_point.resize(static_cast<size_t>(chunk.num_point_slots), -1);
-            for (Segment& segment : chunk.segments) append_runs(segment, num_points);
-            first = end;
-        }
-        return first;
+    void build(std::vector<Chunk>& chunks) {
+        if (order_.empty()) return;
+        const bool may_choose = options_.points_per_tile == 0;
+        int32_t size = options_.points_per_tile;
+        if (may_choose)
+            size = best_tile_size(
+                visibility_, order_, static_cast<int32_t>(models_.segment_of_image.size()),
+                {options_.max_points_per_tile, options_.compute_units, options_.lanes});
+        find_tiles(size);
+        while (may_choose && size > 1 && !all_fit()) find_tiles(size = (size + 1) / 2);
+        fill_chunks(chunks);
+        parallel_for(static_cast<int64_t>(tiles_.size()),
+                     [&](int64_t t, int worker) { reader(worker).write_runs(tiles_[t]); });
     }
 
 private:
-    // Whether the tile of `visits_` fits beside what the chunk has. At worst each image has a run
-    // for its first sights of points, every other sight is a run of its own, and each run is
-    // padded.
-    bool tile_fits(int32_t num_points, const Chunk& chunk) const {
-        const auto num_visits = static_cast<int64_t>(visits_.size());
-        const int64_t num_again = std::count_if(
-            visits_.begin(), visits_.end(), [](const Visit& visit) { return visit.repeat > 0; });
-        const int64_t num_runs =
-            std::min<int64_t>(num_visits - num_again, problem_.num_images()) + num_again;
-        uint64_t largest =
-            static_cast<uint64_t>(chunk.num_point_slots + num_points + 2 * options_.lanes) * 6 *
-            sizeof(double);  // V
-        int64_t most_slots = 0;
-        for (const Segment& segment : chunk.segments) {
-            const int64_t slots = segment.num_slots() + num_visits + num_runs * options_.lanes;
-            most_slots = std::max(most_slots, slots);
-            const int64_t columns = segment.num_columns();
-            const int64_t jacobian = slots * (2 * columns + 6) * options_.bytes_per_value;
-            const int64_t run_blocks = (segment.num_runs() + num_runs) * columns * (columns + 1) /
-                                       2 * static_cast<int64_t>(sizeof(double));
-            largest = std::max(
-                {largest, static_cast<uint64_t>(jacobian), static_cast<uint64_t>(run_blocks)});
+    TileReader& reader(int worker) {
+        std::unique_ptr<TileReader>& reader = readers_[worker];
+        if (!reader)
+            reader = std::make_unique<TileReader>(visibility_, order_, models_, options_.lanes);
+        return *reader;
+    }
+
+    void find_tiles(int32_t size) {
+        tiles_.clear();
+        for (int64_t first = 0; first < visibility_.num_points(); first += size) {
+            Tile& tile = tiles_.emplace_back();
+            tile.first = static_cast<int32_t>(first);
+            tile.end =
+                static_cast<int32_t>(std::min<int64_t>(first + size, visibility_.num_points()));
+        }
+        parallel_for(static_cast<int64_t>(tiles_.size()),
+                     [&](int64_t t, int worker) { reader(worker).find_runs(tiles_[t]); });
+    }
+
+    int32_t num_point_slots(const Tile& tile) const {
+        return round_up<int32_t>(tile.num_points() + options_.lanes, options_.lanes);
+    }
+
+    // Whether a chunk of so many point slots, and runs and slots of each segment, has buffers that
+    // are small enough and whose elements can be numbered.
+    bool fits(int64_t point_slots, const std::vector<Share>& shares) const {
+        uint64_t largest = static_cast<uint64_t>(point_slots) * 6 * sizeof(double);  // V
+        int64_t most_slots = point_slots;
+        for (size_t s = 0; s < shares.size(); ++s) {
+            const int64_t columns = num_pose_params + camera_models[models_.numbers[s]].num_params;
+            const int64_t jacobian =
+                shares[s].num_slots * (2 * columns + 6) * options_.bytes_per_value;
+            const int64_t whitening =
+                shares[s].num_slots * 3 * static_cast<int64_t>(sizeof(double));
+            const int64_t run_blocks = shares[s].num_runs * columns * (columns + 1) / 2 *
+                                       static_cast<int64_t>(sizeof(double));
+            largest = std::max(largest,
+                               static_cast<uint64_t>(std::max({jacobian, whitening, run_blocks})));
+            most_slots = std::max(most_slots, shares[s].num_slots);
         }
         return largest <= options_.max_buffer_bytes &&
                most_slots <= std::numeric_limits<int32_t>::max() / 32;
     }
-
-    void collect_visits(const std::vector<int32_t>& order, size_t first, size_t end,
-                        const PointObservations& observations) {
-        visits_.clear();
-        for (size_t i = first; i < end; ++i) {
-            const int32_t point = order[i];
-            for (int64_t k = observations.begin[point]; k < observations.begin[point + 1]; ++k) {
-                const int64_t row = observations.rows[k];
-                const int32_t image = problem_.observations[row].image;
-                repeats_[image] = last_point_[image] == point ? repeats_[image] + 1 : 0;
-                last_point_[image] = point;
-                visits_.push_back({image, repeats_[image], static_cast<uint16_t>(i - first), row});
-            }
-        }
-        // The same tile may be collected again, for the next chunk.
-        for (const Visit& visit : visits_) last_point_[visit.image] = -1;
-    }
-
-    // Groups the tile's visits by (repeat, image): counting sort for the first time an image sees a
-    // point, and a stable sort for the few that it sees again.
-    void append_runs(Segment& segment, int32_t num_points) {
-        touched_.clear();
-        again_.clear();
-        int64_t num_first = 0;
-        for (const Visit& visit : visits_) {
-            if (problem_.cameras[problem_.images[visit.image].camera].model != segment.model)
-                continue;
-            if (visit.repeat > 0) {
-                again_.push_back(visit);
-                continue;
-            }
-            if (next_[visit.image]++ == 0) touched_.push_back(visit.image);
-            ++num_first;
-        }
-        std::sort(touched_.begin(), touched_.end());
-        sorted_.resize(static_cast<size_t>(num_first));
-        int64_t begin = 0;
-        for (int32_t image : touched_) {
-            const int64_t count = next_[image];
-            next_[image] = begin;
-            begin += count;
-        }
-        for (const Visit& visit : visits_)
-            if (visit.repeat == 0 &&
-                problem_.cameras[problem_.images[visit.image].camera].model == segment.model)
-                sorted_[static_cast<size_t>(next_[visit.image]++)] = visit;
-        for (int32_t image : touched_) next_[image] = 0;
-        std::stable_sort(again_.begin(), again_.end(), [](const Visit& a, const Visit& b) {
-            return a.repeat != b.repeat ? a.repeat < b.repeat : a.image < b.image;
+    bool all_fit() const {
+        return std::all_of(tiles_.begin(), tiles_.end(), [&](const Tile& tile) {
+            return fits(num_point_slots(tile), tile.shares);
         });
-        sorted_.insert(sorted_.end(), again_.begin(), again_.end());
-
-        for (size_t i = 0; i < sorted_.size();) {
-            size_t end = i;
-            while (end < sorted_.size() && sorted_[end].image == sorted_[i].image &&
-                   sorted_[end].repeat == sorted_[i].repeat)
-                ++end;
-            segment.run_image.push_back(sorted_[i].image);
-            for (; i < end; ++i) {
-                segment.slot_point.push_back(sorted_[i].point);
-                segment.slot_observation.push_back(sorted_[i].observation);
-            }
-            for (int32_t spare = num_points; segment.slot_point.size() % options_.lanes != 0;
-                 ++spare) {
-                segment.slot_point.push_back(static_cast<uint16_t>(spare));
-                segment.slot_observation.push_back(-1);
-            }
-            segment.run_slots.push_back(static_cast<int32_t>(segment.slot_point.size()));
-        }
-        segment.tile_runs.push_back(segment.num_runs());
     }
 
-    const Problem& problem_;
+    // Deals the tiles out to chunks and gives each its place.
+    void fill_chunks(std::vector<Chunk>& chunks) {
+        for (size_t first = 0; first < tiles_.size();) {
+            std::vector<Share> sums(models_.numbers.size());
+            int64_t point_slots = 0;
+            size_t end = first;
+            for (; end < tiles_.size(); ++end) {
+                std::vector<Share> grown = sums;
+                for (size_t s = 0; s < sums.size(); ++s) {
+                    grown[s].num_runs += tiles_[end].shares[s].num_runs;
+                    grown[s].num_slots += tiles_[end].shares[s].num_slots;
+                }
+                if (!fits(point_slots + num_point_slots(tiles_[end]), grown)) break;
+                for (size_t s = 0; s < sums.size(); ++s) {
+                    tiles_[end].shares[s].first_run = sums[s].num_runs;
+                    tiles_[end].shares[s].first_slot = sums[s].num_slots;
+                }
+                point_slots += num_point_slots(tiles_[end]);
+                sums = std::move(grown);
+            }
+            if (end == first)
+                fail(Status::out_of_memory, "a tile of ", tiles_[first].num_points(),
+                     " points does not fit one buffer of ", options_.max_buffer_bytes,
+                     " bytes; raise max_allocation_bytes");
+            chunks.push_back(make_chunk(first, end, point_slots, sums));
+            first = end;
+        }
+        auto tile = tiles_.begin();
+        for (Chunk& chunk : chunks)
+            for (int32_t t = 0; t < chunk.num_tiles(); ++t) (tile++)->chunk = &chunk;
+    }
+
+    Chunk make_chunk(size_t first, size_t end, int64_t point_slots,
+                     const std::vector<Share>& sums) const {
+        Chunk chunk;
+        chunk.slot_point.assign(static_cast<size_t>(point_slots), -1);
+        for (size_t t = first; t < end; ++t) {
+            const Tile& tile = tiles_[t];
+            chunk.tile_points.push_back(chunk.num_point_slots);
+            chunk.tile_num_points.push_back(tile.num_points());
+            std::copy(order_.begin() + tile.first, order_.begin() + tile.end,
+                      chunk.slot_point.begin() + chunk.num_point_slots);
+            chunk.num_point_slots += num_point_slots(tile);
+        }
+        for (size_t s = 0; s < sums.size(); ++s) {
+            Segment& segment = chunk.segments.emplace_back();
+            segment.model = models_.numbers[s];
+            for (size_t t = first; t < end; ++t)
+                segment.tile_runs.push_back(static_cast<int32_t>(tiles_[t].shares[s].first_run));
+            segment.tile_runs.push_back(static_cast<int32_t>(sums[s].num_runs));
+            segment.run_image.resize(static_cast<size_t>(sums[s].num_runs));
+            segment.run_slots.resize(static_cast<size_t>(sums[s].num_runs + 1));
+            segment.run_slots.back() = static_cast<int32_t>(sums[s].num_slots);
+            segment.slot_point.resize(static_cast<size_t>(sums[s].num_slots));
+            segment.slot_observation.resize(static_cast<size_t>(sums[s].num_slots));
+        }
+        return chunk;
+    }
+
     const TileOptions& options_;
-    std::vector<int32_t> models_;  // in use
-    // Scratch, by image.
-    std::vector<int32_t> last_point_, repeats_;
-    std::vector<int64_t> next_;
-    // Scratch, by tile.
-    std::vector<Visit> visits_, sorted_, again_;
-    std::vector<int32_t> touched_;
+    const Models models_;
+    const Visibility visibility_;
+    const std::vector<int32_t> order_;
+    std::vector<std::unique_ptr<TileReader>> readers_;
+    std::vector<Tile> tiles_;
 };
 
 // Inverts run -> blocks, keeping the order of the runs within each block.
@@ -254,17 +350,15 @@ void list_block_runs(const ParameterLayout& layout, const std::vector<int32_t>& 
 
 VisibilityTiles::VisibilityTiles(const Problem& problem, const ParameterLayout& layout,
                                  const TileOptions& options) {
-    require(options.lanes >= 1 && options.points_per_tile >= 1 &&
-                options.points_per_tile + 2 * options.lanes <= max_tile_slots,
-            "points_per_tile = ", options.points_per_tile, ", but a tile has 1 to ",
-            max_tile_slots - 2 * options.lanes, " points");
-    const PointObservations observations(problem);
-    const std::vector<int32_t> order = ordered_points(problem, observations);
-    Builder builder(problem, options);
-    for (size_t first = 0; first < order.size();) {
-        chunks.emplace_back();
-        first = builder.build_chunk(order, first, observations, chunks.back());
-    }
+    const auto require_tile_size = [&](int32_t size, int32_t smallest, const char* name) {
+        require(
+            options.lanes >= 1 && size >= smallest && size + 2 * options.lanes <= max_tile_slots,
+            name, " = ", size, ", but a tile has 1 to ", max_tile_slots - 2 * options.lanes,
+            " points");
+    };
+    require_tile_size(options.points_per_tile, 0, "points_per_tile");
+    require_tile_size(options.max_points_per_tile, 1, "max_points_per_tile");
+    Builder(problem, options).build(chunks);
 
     std::vector<int32_t> block_of_image(problem.images.size(), -1);
     std::vector<int32_t> block_of_camera(problem.cameras.size(), -1);

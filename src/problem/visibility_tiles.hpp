@@ -9,7 +9,9 @@
 namespace clba {
 
 struct TileOptions {
-    int32_t points_per_tile = 4096;
+    int32_t points_per_tile = 0;             // 0: chosen by best_tile_size (tile_size.hpp)
+    int32_t max_points_per_tile = 16384;     // of a chosen size
+    int32_t compute_units = 1;               // that share the tiles
     int lanes = 16;                          // runs and tiles are padded to a multiple of this
     int64_t bytes_per_value = 8;             // of a stored Jacobian
     uint64_t max_buffer_bytes = UINT64_MAX;  // a chunk's largest buffer stays below this
@@ -27,7 +29,7 @@ struct Segment {
     std::vector<int32_t> run_image;
     std::vector<int32_t> run_slots;         // first slot of each run, and end
     std::vector<uint16_t> slot_point;       // counted from the tile's first point slot
-    std::vector<int64_t> slot_observation;  // the caller's row, -1 for padding
+    std::vector<int32_t> slot_observation;  // the caller's row, -1 for padding
     // For each parameter block that the segment touches: where it is, from which column of a run's
     // sums it takes its part (0: pose, or pose with intrinsics; 6: shared intrinsics), and its
     // runs.
@@ -52,11 +54,11 @@ struct Chunk {
     int32_t num_tiles() const { return static_cast<int32_t>(tile_points.size()); }
 };
 
-// The order in which a device works through a problem. Points are ordered by the middle one of the
-// images that see them, so that a tile's points are seen by few images and runs are long; a tile is
-// a range of that order. Two facts make products over tiles fast: within a run the image is the
-// same for all observations, and as no point occurs twice in it, lanes may scatter to the tile's
-// points without conflict.
+// The order in which a device works through a problem. Points are ordered so that a tile, a range
+// of that order, is seen by few images and runs are long (point_order.hpp). Two facts make products
+// over tiles fast: within a run the image is the same for all observations, and as no point occurs
+// twice in it, lanes may scatter to the tile's points without conflict. The result does not depend
+// on the number of threads that build it.
 struct VisibilityTiles {
     VisibilityTiles(const Problem& problem, const ParameterLayout& layout,
                     const TileOptions& options);

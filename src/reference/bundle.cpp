@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/parallel.hpp"
 #include "reference/camera_models.hpp"
 #include "reference/loss.hpp"
 
@@ -28,32 +29,38 @@ std::vector<RowMajor3> image_rotations(const Problem& problem) {
     return rotations;
 }
 
-struct EvaluatedObservation {
+struct Measured {
     Eigen::Vector3d p;  // the point in the camera's frame
     Projection projection;
+    const double* whitening;   // lower triangle of L^-1
     Eigen::Vector2d whitened;  // L^-1 (projection - observation)
-    Eigen::Matrix2d weight;    // sqrt(rho') L^-1
-    double sqrt_rho_derivative;
 };
 
-EvaluatedObservation evaluate(const Problem& problem, const std::vector<RowMajor3>& rotations,
-                              int64_t i) {
+// use(Measured) of observation i: the compiler makes one piece of the two.
+template <class Use>
+void measure(const Problem& problem, const std::vector<RowMajor3>& rotations, int64_t i,
+             Use&& use) {
     const Observation& observation = problem.observations[i];
     const Image& image = problem.images[observation.image];
-    EvaluatedObservation e;
-    e.p = rotations[observation.image] *
-              Eigen::Map<const Eigen::Vector3d>(problem.points[observation.point].data()) +
-          Eigen::Map<const Eigen::Vector3d>(image.pose.translation.data());
-    e.projection = project(problem.cameras[image.camera], e.p);
-    Eigen::Matrix2d whitening = Eigen::Matrix2d::Identity();
-    if (!problem.whitening.empty()) {
-        const auto& factor = problem.whitening[i];
-        whitening << factor[0], 0, factor[1], factor[2];
-    }
-    e.whitened = whitening * (e.projection.pixel - Eigen::Vector2d(observation.x, observation.y));
-    e.sqrt_rho_derivative = std::sqrt(rho_derivative(problem.loss, e.whitened.squaredNorm()));
-    e.weight = e.sqrt_rho_derivative * whitening;
-    return e;
+    const RowMajor3& r = rotations[observation.image];
+    const Point& x = problem.points[observation.point];
+    const auto& t = image.pose.translation;
+    const Eigen::Vector3d p(r(0, 0) * x[0] + r(0, 1) * x[1] + r(0, 2) * x[2] + t[0],
+                            r(1, 0) * x[0] + r(1, 1) * x[1] + r(1, 2) * x[2] + t[1],
+                            r(2, 0) * x[0] + r(2, 1) * x[1] + r(2, 2) * x[2] + t[2]);
+    static constexpr double identity[] = {1, 0, 1};
+    Measured m{p, project(problem.cameras[image.camera], p),
+               problem.whitening.empty() ? identity : problem.whitening[i].data(),
+               Eigen::Vector2d()};
+    const double dx = m.projection.pixel.x() - observation.x;
+    const double dy = m.projection.pixel.y() - observation.y;
+    m.whitened.x() = m.whitening[0] * dx;
+    m.whitened.y() = m.whitening[1] * dx + m.whitening[2] * dy;
+    use(m);
+}
+
+double sqrt_rho_derivative(const Problem& problem, const Measured& m) {
+    return std::sqrt(rho_derivative(problem.loss, m.whitened.squaredNorm()));
 }
 
 RowMajor3 cross_product_matrix(const Eigen::Vector3d& p) {
@@ -142,15 +149,29 @@ void add_image_blocks(const std::vector<BlockColumns>& columns,
 }  // namespace
 
 Cost residual(const Problem& problem, double* residuals) {
+    constexpr int64_t block_size = 4096;
     const auto rotations = image_rotations(problem);
+    const int64_t num_blocks = (problem.num_observations() + block_size - 1) / block_size;
+    std::vector<Cost> of_block(static_cast<size_t>(num_blocks));
+    parallel_for(num_blocks, [&](int64_t block, int) {
+        Cost sum;
+        const int64_t end = std::min((block + 1) * block_size, problem.num_observations());
+        for (int64_t i = block * block_size; i < end; ++i)
+            measure(problem, rotations, i, [&](const Measured& m) {
+                sum.cost += 0.5 * rho(problem.loss, m.whitened.squaredNorm());
+                sum.num_behind += m.projection.is_behind;
+                sum.num_singular += m.projection.is_singular;
+                if (residuals)
+                    Eigen::Map<Eigen::Vector2d>(residuals + 2 * i) =
+                        sqrt_rho_derivative(problem, m) * m.whitened;
+            });
+        of_block[block] = sum;
+    });
     Cost total;
-    for (int64_t i = 0; i < problem.num_observations(); ++i) {
-        const EvaluatedObservation e = evaluate(problem, rotations, i);
-        total.cost += 0.5 * rho(problem.loss, e.whitened.squaredNorm());
-        total.num_behind += e.projection.is_behind;
-        total.num_singular += e.projection.is_singular;
-        if (residuals)
-            Eigen::Map<Eigen::Vector2d>(residuals + 2 * i) = e.sqrt_rho_derivative * e.whitened;
+    for (const Cost& sum : of_block) {
+        total.cost += sum.cost;
+        total.num_behind += sum.num_behind;
+        total.num_singular += sum.num_singular;
     }
     return total;
 }
@@ -169,17 +190,23 @@ Jacobian jacobian(const Problem& problem, const ParameterLayout& layout) {
         result.image.push_back(observation.image);
         result.point.push_back(observation.point);
 
-        const EvaluatedObservation e = evaluate(problem, rotations, i);
-        const auto derivatives = projection_derivatives(problem.cameras[camera], e.p);
-        const RowMajor23 a = e.weight * derivatives.point;
+        Eigen::Vector3d p;
+        Eigen::Matrix2d weight;  // sqrt(rho') L^-1
+        measure(problem, rotations, i, [&](const Measured& m) {
+            p = m.p;
+            weight << m.whitening[0], 0, m.whitening[1], m.whitening[2];
+            weight *= sqrt_rho_derivative(problem, m);
+        });
+        const auto derivatives = projection_derivatives(problem.cameras[camera], p);
+        const RowMajor23 a = weight * derivatives.point;
         Eigen::Map<RowMajor2> j_image(result.image_blocks.data() + i * 2 * result.columns, 2,
                                       result.columns);
         Eigen::Map<RowMajor23> j_point(result.point_blocks.data() + i * 6);
         // P moves to exp(w) P + v, so that d P / d w = -[P]_x and d P / d v = I.
-        j_image.leftCols<3>() = -a * cross_product_matrix(e.p);
+        j_image.leftCols<3>() = -a * cross_product_matrix(p);
         j_image.middleCols<3>(3) = a;
         j_image.middleCols(num_pose_params, num_params) =
-            e.weight * derivatives.params.leftCols(num_params);
+            weight * derivatives.params.leftCols(num_params);
         j_point = a * rotations[observation.image];
 
         for (int k = 0; k < num_pose_params; ++k)

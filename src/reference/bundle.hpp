@@ -16,7 +16,8 @@ struct Cost {
     int64_t num_singular = 0;  // observations in the camera's own plane (see is_singular)
 };
 
-// Residuals (2 an observation, may be nullptr): whitened and multiplied by sqrt(rho').
+// Residuals (2 an observation, may be nullptr): whitened and multiplied by sqrt(rho'). The cost is
+// the sum of the sums of blocks of 4096 observations, each summed in order by one thread.
 Cost residual(const Problem& problem, double* residuals);
 
 // The Jacobian of these residuals in block compressed sparse rows: block row i is observation i.
