@@ -230,7 +230,7 @@ void with_mirror(clba_problem* handle, clba_context* context, Precision precisio
 // One array of 2 rows of REAL in slots, from or to observations x 2 of the caller's.
 template <class Real>
 void upload_rows(const double* values, DeviceProblem& device, std::vector<Buffer>& slots) {
-    device.fill_slots<Real>(slots, StoredJacobian::num_product_rows,
+    device.fill_slots<Real>(slots, Jacobian::num_product_rows,
                             [&](int64_t observation, int, auto&& slot) {
                                 slot(0) = static_cast<Real>(values[2 * observation]);
                                 slot(1) = static_cast<Real>(values[2 * observation + 1]);
@@ -239,7 +239,7 @@ void upload_rows(const double* values, DeviceProblem& device, std::vector<Buffer
 
 template <class Real>
 void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots, double* values) {
-    device.visit_slots<Real>(slots, StoredJacobian::num_product_rows,
+    device.visit_slots<Real>(slots, Jacobian::num_product_rows,
                              [&](int64_t observation, int, auto&& slot) {
                                  values[2 * observation] = slot(0);
                                  values[2 * observation + 1] = slot(1);
@@ -251,8 +251,7 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     Evaluator evaluator(device, problem);
     std::vector<Buffer> residuals;
     if (request.residuals)
-        residuals =
-            device.make_slot_rows(StoredJacobian::num_product_rows, sizeof(double), "residuals");
+        residuals = device.make_slot_rows(Jacobian::num_product_rows, sizeof(double), "residuals");
     const CostEvaluation evaluation =
         evaluator.cost(device.state, request.residuals ? &residuals : nullptr);
     request.cost = evaluation.cost;
@@ -266,11 +265,13 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     const bool wants_jacobian = request.jacobian_images || request.jacobian_points;
     reference::Jacobian jacobian;
     if (request.gradient || wants_jacobian) {
-        NormalEquations equations(device, DampingOptions());
+        NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
         evaluator.linearize(equations);
         if (request.gradient) {
+            Vector full = device.make_vector("the gradient");
+            equations.get_gradient(full);
             gradient.resize(static_cast<size_t>(device.layout().num_parameters(problem)));
-            device.download(equations.gradient, gradient.data());
+            device.download(full, gradient.data());
         }
         if (wants_jacobian) {
             jacobian = empty_jacobian(problem, device.layout());
@@ -298,7 +299,7 @@ void mask_constants(DeviceProblem& device, Vector& vector) {
 std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int32_t product,
                              double lambda, const double* x) {
     Evaluator evaluator(device, problem);
-    NormalEquations equations(device, DampingOptions());
+    NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
     evaluator.linearize(equations);
     const bool is_double = device.precision() == Precision::double_precision;
     std::vector<Buffer>& slots = equations.jacobian.product();
@@ -318,7 +319,6 @@ std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int3
         mask_constants(device, vector);
         device.download(vector, y.data());
     } else {
-        equations.update_blocks();
         const int64_t failures =
             equations.factor_points(lambda) + equations.factor_images(lambda, equations.u());
         require(failures == 0, failures,

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/linear_solver.hpp"
 
+#include <cmath>
+
 #include "linear/direct_solver.hpp"
 #include "linear/pcg_solvers.hpp"
 
@@ -17,6 +19,16 @@ std::unique_ptr<LinearSolver> make_linear_solver(const LinearSolverOptions& opti
         default:
             return std::make_unique<PcgSchur>(options, equations);
     }
+}
+
+void take_step(NormalEquations& equations, const Vector& gradient, const Vector& step,
+               LinearSolution& solution) {
+    DeviceProblem& problem = equations.problem();
+    VectorOperations& vectors = problem.vectors();
+    problem.update(step);
+    solution.model_decrease =
+        -vectors.dot(gradient, step) - 0.5 * equations.jacobian.squared_norm(step);
+    solution.step_norm = std::sqrt(vectors.dot(step, step));
 }
 
 }  // namespace clba

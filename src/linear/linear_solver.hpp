@@ -22,14 +22,23 @@ struct LinearSolution {
     bool is_usable = false;  // false: no step, damp more
     int num_iterations = 0;
     int64_t num_indefinite_blocks = 0;
+    double model_decrease = 0;  // -gradient . step - 1/2 |J step|^2
+    double step_norm = 0;
 };
 
-// Solves (J^T J + lambda D^2) step = -gradient for the current normal equations.
+// Solves (J^T J + lambda D^2) step = -gradient for the current normal equations, and leaves the
+// state moved by the step in the problem's `trial`.
 class LinearSolver {
 public:
     virtual ~LinearSolver() = default;
-    virtual LinearSolution solve(double lambda, Vector& step) = 0;
+    virtual LinearSolution solve(double lambda) = 0;
+    // F and E of the last usable step.
+    virtual void get_step(Vector& full) = 0;
 };
+
+// Moves the trial state by a step of F and E, and completes its solution.
+void take_step(NormalEquations& equations, const Vector& gradient, const Vector& step,
+               LinearSolution& solution);
 
 // problem is the host's, in the order of the device's.
 std::unique_ptr<LinearSolver> make_linear_solver(const LinearSolverOptions& options,

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/pcg_solvers.hpp"
 
+#include <cmath>
+
 namespace clba {
 namespace {
 
@@ -15,27 +17,37 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
     DeviceProblem& problem = equations.problem();
     work_ = {problem.make_vector("PCG"), problem.make_vector("PCG"), problem.make_vector("PCG"),
              problem.make_vector("PCG")};
+    gradient_ = problem.make_vector("the gradient");
+    damping_ = problem.make_vector("the damping");
     b_ = problem.make_vector("PCG");
+    step_ = problem.make_vector("the step");
 }
 
-LinearSolution PcgHessian::solve(double lambda, Vector& step) {
+LinearSolution PcgHessian::solve(double lambda) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
     lambda_ = lambda;
     solution.num_indefinite_blocks =
         equations_.factor_points(lambda) + equations_.factor_images(lambda, equations_.u());
     if (solution.num_indefinite_blocks > 0) return solution;
-    vectors.scale_and_add(-1.0, equations_.gradient, 0.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step);
+    equations_.get_gradient(gradient_);
+    equations_.get_damping(damping_);
+    vectors.scale_and_add(-1.0, gradient_, 0.0, b_);
+    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
     return solution;
+}
+
+void PcgHessian::get_step(Vector& full) {
+    full.copy_from(step_);
 }
 
 void PcgHessian::multiply(const Vector& p, Vector& q) {
     equations_.jacobian.multiply(p);
     equations_.jacobian.multiply_transposed(q);
-    equations_.problem().vectors().add_damping(lambda_, equations_.damping(), p, q);
+    equations_.problem().vectors().add_damping(lambda_, damping_, p, q);
 }
 
 void PcgHessian::precondition(const Vector& r, Vector& z) {
@@ -51,15 +63,16 @@ PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equation
     work_ = {problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG"),
              problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG")};
     b_ = problem.make_reduced_vector("PCG");
-    points_ = problem.make_vector("elimination");
+    step_ = problem.make_reduced_vector("the step");
     if (preconditioner_ == Preconditioner::schur_jacobi)
         schur_blocks_ = Buffer(problem.queue(), problem.matrices_bytes(), "Schur blocks");
 }
 
-LinearSolution PcgSchur::solve(double lambda, Vector& step) {
+LinearSolution PcgSchur::solve(double lambda) {
     LinearSolution solution;
-    StoredJacobian& jacobian = equations_.jacobian;
-    VectorOperations& vectors = equations_.problem().vectors();
+    DeviceProblem& problem = equations_.problem();
+    Jacobian& jacobian = equations_.jacobian;
+    VectorOperations& vectors = problem.vectors();
     lambda_ = lambda;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
@@ -71,25 +84,27 @@ LinearSolution PcgSchur::solve(double lambda, Vector& step) {
     }
     if (solution.num_indefinite_blocks > 0) return solution;
 
-    // b = -g_F + W z with z = V^-1 g_E, and W z the F side of J^T J [0; z].
-    points_.f.fill_zero();
-    equations_.apply_point_factors(equations_.gradient, points_);
-    jacobian.multiply(points_);
-    jacobian.multiply_transposed(points_);
-    b_.f.copy_from(points_.f);
-    vectors.scale_and_add(-1.0, equations_.gradient, 1.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step);
+    // b = -g_F + W V^-1 g_E.
+    jacobian.eliminate(equations_.point_gradient, equations_.point_factors(), b_);
+    vectors.scale_and_add(-1.0, equations_.gradient, -1.0, b_);
+    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (!solution.is_usable) return solution;
 
-    // delta_E = -V^-1 (g_E + W^T delta_F), and W^T delta_F the E side of J^T J [delta_F; 0].
-    jacobian.multiply(step);
-    jacobian.multiply_transposed(points_);
-    vectors.scale_and_add(1.0, equations_.gradient, 1.0, points_);
-    vectors.scale_and_add(-1.0, points_, 0.0, points_);
-    equations_.apply_point_factors(points_, step);
+    problem.update(step_);
+    const BackSubstitution points =
+        jacobian.back_substitute(step_, equations_.point_gradient, equations_.point_factors());
+    solution.model_decrease =
+        -(vectors.dot(equations_.gradient, step_) + points.slope) - 0.5 * points.squared_norm;
+    solution.step_norm = std::sqrt(vectors.dot(step_, step_) + points.squared_point_steps);
     return solution;
+}
+
+void PcgSchur::get_step(Vector& full) {
+    full.f.copy_from(step_.f);
+    for (size_t c = 0; c < full.e.size(); ++c)
+        equations_.problem().vectors().from_real(equations_.jacobian.point_step()[c], full.e[c]);
 }
 
 void PcgSchur::multiply(const Vector& p, Vector& q) {

@@ -10,7 +10,8 @@ namespace clba {
 class PcgHessian : public LinearSolver, private PcgSystem {
 public:
     PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda, Vector& step) override;
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override;
 
 private:
     void multiply(const Vector& p, Vector& q) override;
@@ -20,7 +21,7 @@ private:
     NormalEquations& equations_;
     double lambda_ = 0;
     PcgWork work_;
-    Vector b_;
+    Vector gradient_, damping_, b_, step_;
 };
 
 // PCG on the reduced camera system S = U_lambda - W V_lambda^-1 W^T, never formed, and
@@ -28,7 +29,8 @@ private:
 class PcgSchur : public LinearSolver, private PcgSystem {
 public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda, Vector& step) override;
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override;
 
 private:
     void multiply(const Vector& p, Vector& q) override;
@@ -39,8 +41,7 @@ private:
     NormalEquations& equations_;
     double lambda_ = 0;
     PcgWork work_;
-    Vector b_;       // F alone
-    Vector points_;  // scratch: F and E
+    Vector b_, step_;  // F alone
     Buffer schur_blocks_;
 };
 
