@@ -11,31 +11,36 @@
 #define MAX_TRIANGLE (MAX_BLOCK * (MAX_BLOCK + 1) / 2)
 
 // D_i^2 of scalar i (clba.h, CLBA_DAMPING_*), with c_i its scale and d_i = diag(J^T J)_i:
-//   policy 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
-//   policy 2, levenberg    (s / c)^2 with s = 1 + sqrt(d_0), d_0 = diag(J^T J)_i at the start
-//   policy 3, uncertainty  1 / c^2
-static inline WIDE damping(int policy, WIDE c, WIDE d, WIDE d_0, WIDE smallest,
-                      WIDE largest) {
+//   DAMPING 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
+//   DAMPING 2, levenberg    (s / c)^2 with s = 1 + sqrt(d), of the first linearisation
+//   DAMPING 3, uncertainty  1 / c^2
+#ifndef DAMPING
+#define DAMPING 1
+#endif
+// 1: points have scales; 0: theirs are 1.
+#ifndef SCALED_POINTS
+#define SCALED_POINTS 0
+#endif
+static inline WIDE damping(WIDE c, WIDE d, WIDE smallest, WIDE largest) {
     const WIDE c2 = c * c;
-    const WIDE s = 1 + sqrt(d_0);
-    const WIDE marquardt = fmin(fmax(c2 * d, smallest), largest) / c2;
-    const WIDE value = policy == 1 ? marquardt : (policy == 2 ? s * s : (WIDE)1) / c2;
+#if DAMPING == 1
+    const WIDE value = fmin(fmax(c2 * d, smallest), largest) / c2;
+#elif DAMPING == 2
+    const WIDE s = 1 + sqrt(d);
+    const WIDE value = s * s / c2;
+#else
+    const WIDE value = 1 / c2;
+#endif
     return c > 0 ? value : (WIDE)0;
 }
 
-// D^2 of n scalars of the F side with the diagonal of J_F^T J_F. initial_diagonal: of the first
-// linearisation; NULL unless policy is 2.
+// D^2 of n scalars of the F side with the diagonal of J_F^T J_F.
 // Writers: one element each.
-KERNEL void image_damping(int policy, WIDE smallest, WIDE largest, int n,
+KERNEL void image_damping(WIDE smallest, WIDE largest, int n,
                           global const WIDE* restrict diagonal, global const WIDE* restrict scale,
-                          global WIDE* restrict initial_diagonal, int is_first,
                           global WIDE* restrict d2) {
     const int begin = share_begin(n), end = share_end(n);
-    LANES(i, begin, end) {
-        if (initial_diagonal && is_first) initial_diagonal[i] = diagonal[i];
-        d2[i] = damping(policy, scale[i], diagonal[i],
-                        initial_diagonal ? initial_diagonal[i] : (WIDE)0, smallest, largest);
-    }
+    LANES(i, begin, end) d2[i] = damping(scale[i], diagonal[i], smallest, largest);
 }
 
 // V = L L^T of point i, of n slots: xx, yx, yy, zx, zy, zz.
@@ -50,35 +55,27 @@ static inline void load_point_block(global const REAL* roots, int n, int i, WIDE
     v[5] = l20 * l20 + l21 * l21 + l22 * l22;
 }
 
-// D^2 of point i: 3 numbers. scale may be NULL: 1 everywhere.
-static inline void load_point_damping(int policy, WIDE smallest, WIDE largest, int n, int i,
-                                      const WIDE* v, global const WIDE* scale,
-                                      global WIDE* initial_diagonal, int is_first, WIDE* d2) {
-    const WIDE diagonal[3] = {v[0], v[2], v[5]};
-#pragma unroll
-    for (int k = 0; k < 3; ++k) {
-        if (initial_diagonal && is_first) initial_diagonal[k * n + i] = diagonal[k];
-        d2[k] = damping(policy, scale ? scale[k * n + i] : (WIDE)1, diagonal[k],
-                        initial_diagonal ? initial_diagonal[k * n + i] : (WIDE)0, smallest,
-                        largest);
-    }
+static inline WIDE load_point_scale(global const WIDE* scale, int i) {
+#if SCALED_POINTS
+    return scale[i];
+#else
+    return 1;
+#endif
 }
 
-// D^2 of the points: 3 rows. Spare slots get some value too.
+// D^2 of the points: 3 rows. scale is read where SCALED_POINTS is 1. Spare slots get some value too.
 // Writers: one point each.
-KERNEL void point_damping(int policy, WIDE smallest, WIDE largest, int num_point_slots,
+KERNEL void point_damping(WIDE smallest, WIDE largest, int num_point_slots,
                           global const REAL* restrict roots, global const WIDE* restrict scale,
-                          global WIDE* restrict initial_diagonal, int is_first,
                           global WIDE* restrict d2) {
     const int n = num_point_slots;
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) {
-        WIDE v[6], d[3];
+        WIDE v[6];
         load_point_block(roots, n, i, v);
-        load_point_damping(policy, smallest, largest, n, i, v, scale, initial_diagonal, is_first, d);
-        d2[i] = d[0];
-        d2[n + i] = d[1];
-        d2[2 * n + i] = d[2];
+        d2[i] = damping(load_point_scale(scale, i), v[0], smallest, largest);
+        d2[n + i] = damping(load_point_scale(scale, n + i), v[2], smallest, largest);
+        d2[2 * n + i] = damping(load_point_scale(scale, 2 * n + i), v[5], smallest, largest);
     }
 }
 
@@ -143,13 +140,13 @@ KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
 #endif
 }
 
-// G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. scale may be NULL.
-// Spare slots: G is finite or 0, and unused.
+// G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. fixed_d2 is D^2 where
+// DAMPING is 2. Spare slots: G is finite or 0, and unused.
 // Writers: one point each; failures: one count a work-item.
-KERNEL void factor_point_blocks(int policy, WIDE smallest, WIDE largest, WIDE lambda,
-                                int num_point_slots, global const REAL* restrict roots,
+KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int num_point_slots,
+                                global const REAL* restrict roots,
                                 global const WIDE* restrict scale,
-                                global WIDE* restrict initial_diagonal, int is_first,
+                                global const WIDE* restrict fixed_d2,
                                 global REAL* restrict factors, global int* restrict failures) {
     const int n = num_point_slots;
     const int begin = share_begin(n), end = share_end(n);
@@ -157,35 +154,42 @@ KERNEL void factor_point_blocks(int policy, WIDE smallest, WIDE largest, WIDE la
     LANES(i, begin, end) {
         WIDE v[6], d2[3];
         load_point_block(roots, n, i, v);
-        load_point_damping(policy, smallest, largest, n, i, v, scale, initial_diagonal, is_first, d2);
-        const bool free0 = scale ? scale[i] > 0 : true;
-        const bool free1 = scale ? scale[n + i] > 0 : true;
-        const bool free2 = scale ? scale[2 * n + i] > 0 : true;
+        const WIDE scales[3] = {load_point_scale(scale, i), load_point_scale(scale, n + i),
+                                load_point_scale(scale, 2 * n + i)};
+#if DAMPING == 2
+        d2[0] = fixed_d2[i];
+        d2[1] = fixed_d2[n + i];
+        d2[2] = fixed_d2[2 * n + i];
+#else
+        d2[0] = damping(scales[0], v[0], smallest, largest);
+        d2[1] = damping(scales[1], v[2], smallest, largest);
+        d2[2] = damping(scales[2], v[5], smallest, largest);
+#endif
+        const bool free0 = scales[0] > 0, free1 = scales[1] > 0, free2 = scales[2] > 0;
         const WIDE a00 = free0 ? v[0] + lambda * d2[0] : (WIDE)1;
         const WIDE a10 = free0 && free1 ? v[1] : (WIDE)0;
         const WIDE a11 = free1 ? v[2] + lambda * d2[1] : (WIDE)1;
         const WIDE a20 = free0 && free2 ? v[3] : (WIDE)0;
         const WIDE a21 = free1 && free2 ? v[4] : (WIDE)0;
         const WIDE a22 = free2 ? v[5] + lambda * d2[2] : (WIDE)1;
-        const WIDE g00 = 1 / sqrt(a00);
-        const WIDE l10 = a10 * g00, l20 = a20 * g00;
-        const WIDE p1 = a11 - l10 * l10;
-        const WIDE g11 = 1 / sqrt(p1);
-        const WIDE l21 = (a21 - l20 * l10) * g11;
-        const WIDE p2 = a22 - l20 * l20 - l21 * l21;
-        const WIDE g22 = 1 / sqrt(p2);
-        const WIDE g10 = -g11 * l10 * g00;
-        const WIDE g21 = -g22 * l21 * g11;
-        const WIDE g20 = -g22 * (l20 * g00 + l21 * g10);
+        // A = L D L^T with a unit lower triangle L; G = D^-1/2 L^-1.
+        const WIDE inverse0 = 1 / a00;
+        const WIDE l10 = a10 * inverse0, l20 = a20 * inverse0;
+        const WIDE p1 = a11 - l10 * a10;
+        const WIDE l21 = (a21 - l20 * a10) / p1;
+        const WIDE p2 = a22 - l20 * a20 - l21 * l21 * p1;
+        const REAL g00 = 1 / sqrt((REAL)a00), g11 = 1 / sqrt((REAL)p1), g22 = 1 / sqrt((REAL)p2);
+        const REAL g10 = -(REAL)l10 * g11, g21 = -(REAL)l21 * g22;
+        const REAL g20 = (REAL)(l21 * l10 - l20) * g22;
         // False for NaN and for infinities too.
         const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
         failed += is_definite ? (WIDE)0 : (WIDE)1;
-        factors[i] = is_definite && free0 ? (REAL)g00 : 0;
-        factors[n + i] = is_definite && free0 && free1 ? (REAL)g10 : 0;
-        factors[2 * n + i] = is_definite && free1 ? (REAL)g11 : 0;
-        factors[3 * n + i] = is_definite && free0 && free2 ? (REAL)g20 : 0;
-        factors[4 * n + i] = is_definite && free1 && free2 ? (REAL)g21 : 0;
-        factors[5 * n + i] = is_definite && free2 ? (REAL)g22 : 0;
+        factors[i] = is_definite && free0 ? g00 : (REAL)0;
+        factors[n + i] = is_definite && free0 && free1 ? g10 : (REAL)0;
+        factors[2 * n + i] = is_definite && free1 ? g11 : (REAL)0;
+        factors[3 * n + i] = is_definite && free0 && free2 ? g20 : (REAL)0;
+        factors[4 * n + i] = is_definite && free1 && free2 ? g21 : (REAL)0;
+        factors[5 * n + i] = is_definite && free2 ? g22 : (REAL)0;
     }
 #if LANE_LOOP
     failures[get_group_id(0)] = (int)failed;

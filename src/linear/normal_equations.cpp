@@ -15,7 +15,12 @@ NormalEquations::NormalEquations(DeviceProblem& problem, const DampingOptions& d
     int32_t max_block = 1;
     for (const ParameterBlock& block : problem.layout().blocks)
         max_block = std::max(max_block, block.size);
-    defines_ = text(precision_defines(precision), " -DMAX_BLOCK=", max_block);
+    bool has_point_scales = false;
+    for (const DeviceChunk& chunk : problem.chunks())
+        has_point_scales = has_point_scales || chunk.point_scale;
+    defines_ = text(precision_defines(precision), " -DMAX_BLOCK=", max_block,
+                    " -DDAMPING=", static_cast<int>(damping.policy),
+                    " -DSCALED_POINTS=", has_point_scales ? 1 : 0);
     gradient = problem.make_reduced_vector("the gradient");
     diagonal = problem.make_reduced_vector("the diagonal");
     point_gradient = problem.make_point_rows(3, real_bytes(precision), "the gradient");
@@ -27,7 +32,7 @@ NormalEquations::NormalEquations(DeviceProblem& problem, const DampingOptions& d
                       "the gradient of tiles");
     d2_ = problem.make_reduced_vector("the damping");
     if (options_.policy == Damping::levenberg)
-        initial_diagonal_ = problem.make_vector("the initial diagonal");
+        fixed_point_damping_ = problem.make_point_rows(3, wide_bytes(precision), "the damping");
     image_factors_ = Buffer(queue_, problem.matrices_bytes(), "image block factors");
     failures_ = Buffer(queue_,
                        sizeof(int32_t) * static_cast<uint64_t>(queue_.tuning().vector_groups *
@@ -43,18 +48,26 @@ int64_t NormalEquations::num_groups(int64_t n) const {
     return std::min<int64_t>(queue_.tuning().vector_groups, n);
 }
 
-const Buffer* NormalEquations::initial_points(size_t chunk) const {
-    return initial_diagonal_.e.empty() ? nullptr : &initial_diagonal_.e[chunk];
-}
-
 void NormalEquations::update_damping() {
     has_u_ = false;
-    is_first_ = num_linearizations_++ == 0;
+    const bool is_first = !has_damping_;
+    has_damping_ = true;
+    if (options_.policy == Damping::levenberg && !is_first) return;
     const int32_t n = problem_.layout().num_f;
     queue_.launch(Step::preconditioner, kernel("image_damping"), num_groups(n),
-                  static_cast<int32_t>(options_.policy), options_.min_diagonal,
-                  options_.max_diagonal, n, diagonal.f, problem_.scale_f,
-                  initial_diagonal_.f ? &initial_diagonal_.f : nullptr, is_first_ ? 1 : 0, d2_.f);
+                  options_.min_diagonal, options_.max_diagonal, n, diagonal.f, problem_.scale_f,
+                  d2_.f);
+    if (options_.policy == Damping::levenberg) update_point_damping(fixed_point_damping_);
+}
+
+void NormalEquations::update_point_damping(std::vector<Buffer>& d2) {
+    for (size_t c = 0; c < problem_.chunks().size(); ++c) {
+        const DeviceChunk& chunk = problem_.chunks()[c];
+        queue_.launch(Step::preconditioner, kernel("point_damping"),
+                      num_groups(chunk.num_point_slots), options_.min_diagonal,
+                      options_.max_diagonal, chunk.num_point_slots, point_roots[c],
+                      chunk.point_scale_or_null(), d2[c]);
+    }
 }
 
 void NormalEquations::get_gradient(Vector& full) {
@@ -79,14 +92,11 @@ const Buffer& NormalEquations::u() {
 
 void NormalEquations::get_damping(Vector& full) {
     full.f.copy_from(d2_.f);
-    for (size_t c = 0; c < problem_.chunks().size(); ++c) {
-        const DeviceChunk& chunk = problem_.chunks()[c];
-        queue_.launch(Step::preconditioner, kernel("point_damping"),
-                      num_groups(chunk.num_point_slots), static_cast<int32_t>(options_.policy),
-                      options_.min_diagonal, options_.max_diagonal, chunk.num_point_slots,
-                      point_roots[c], chunk.point_scale_or_null(), initial_points(c),
-                      is_first_ ? 1 : 0, full.e[c]);
+    if (options_.policy != Damping::levenberg) {
+        update_point_damping(full.e);
+        return;
     }
+    for (size_t c = 0; c < full.e.size(); ++c) full.e[c].copy_from(fixed_point_damping_[c]);
 }
 
 int64_t NormalEquations::read_failures(int64_t groups) {
@@ -101,9 +111,9 @@ int64_t NormalEquations::factor_points(double lambda) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         const int64_t groups = num_groups(chunk.num_point_slots);
         queue_.launch(Step::preconditioner, kernel("factor_point_blocks"), groups,
-                      static_cast<int32_t>(options_.policy), options_.min_diagonal,
-                      options_.max_diagonal, lambda, chunk.num_point_slots, point_roots[c],
-                      chunk.point_scale_or_null(), initial_points(c), is_first_ ? 1 : 0,
+                      options_.min_diagonal, options_.max_diagonal, lambda, chunk.num_point_slots,
+                      point_roots[c], chunk.point_scale_or_null(),
+                      fixed_point_damping_.empty() ? nullptr : &fixed_point_damping_[c],
                       point_factors_[c], failures_);
         failures += read_failures(groups);
     }

@@ -53,21 +53,20 @@ private:
     Kernel& kernel(const char* name);
     int64_t num_groups(int64_t n) const;
     int64_t read_failures(int64_t groups);
-    const Buffer* initial_points(size_t chunk) const;
+    void update_point_damping(std::vector<Buffer>& d2);
 
     DeviceProblem& problem_;
     Queue& queue_;
     DampingOptions options_;
     std::string defines_;
-    bool is_first_ = true;  // the current linearisation
+    bool has_damping_ = false;  // of some linearisation
     bool has_u_ = false;    // of the current linearisation
     Buffer u_;              // made when it is first asked for
     Vector d2_;
-    Vector initial_diagonal_;  // levenberg alone
+    std::vector<Buffer> fixed_point_damping_;  // levenberg alone: of the first linearisation
     Buffer image_factors_;
     std::vector<Buffer> point_factors_;
     Buffer failures_;
-    int num_linearizations_ = 0;
 };
 
 }  // namespace clba
