@@ -123,10 +123,11 @@ int main(int argc, char** argv) {
                  rig.equations.factor_points(1e-4);
              }},
             {"jx", [](Rig& rig) { rig.equations.jacobian.multiply(rig.x); }},
-            {"jty", [](Rig& rig) { rig.equations.jacobian.multiply_transposed(rig.y); }},
+            {"jty", [](Rig& rig) { rig.equations.jacobian.add_transposed(rig.y); }},
             {"schur_product",
              [](Rig& rig) {
-                 rig.equations.jacobian.schur_multiply(rig.x, rig.equations.point_factors(), rig.y);
+                 rig.equations.jacobian.add_schur_product(rig.x, rig.equations.point_factors(),
+                                                          rig.y);
              }},
             {"image_blocks",
              [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},
@@ -153,10 +154,6 @@ int main(int argc, char** argv) {
             {"apply_image_factors",
              [](Rig& rig) { rig.equations.apply_image_factors(rig.x, rig.y); }},
             {"dot", [](Rig& rig) { rig.device.vectors().dot(rig.x, rig.y); }},
-            {"pcg_step",
-             [](Rig& rig) {
-                 rig.device.vectors().pcg_step(0.0, rig.x, rig.x, rig.x, rig.y, rig.z);
-             }},
             {"update_state", [](Rig& rig) { rig.device.update(rig.x); }},
         };
         std::vector<std::unique_ptr<Rig>> rigs;

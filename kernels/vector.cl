@@ -44,39 +44,15 @@ KERNEL void scale_and_add(int n, WIDE a, global const WIDE* restrict x, WIDE b,
     LANES(i, begin, end) y[i] = a * x[i] + (b == 0 ? (WIDE)0 : b * y[i]);
 }
 
-// y += lambda d2 x.
-KERNEL void add_damping(int n, WIDE lambda, global const WIDE* restrict d2,
-                        global const WIDE* restrict x, global WIDE* restrict y) {
-    const int begin = share_begin(n), end = share_end(n);
-    LANES(i, begin, end) y[i] += lambda * d2[i] * x[i];
-}
-
-// One step of conjugate gradients: x += alpha p, r -= alpha q; partials of x . (b + r).
-KERNEL void pcg_step(int n, WIDE alpha, global const WIDE* restrict p,
-                     global const WIDE* restrict q, global const WIDE* restrict b,
-                     global WIDE* restrict x, global WIDE* restrict r,
-                     int first_partial, global WIDE* restrict partials, local WIDE* scratch) {
-    const int begin = share_begin(n), end = share_end(n);
-    WIDE sum = 0;
-    LANES(i, begin, end) {
-        const WIDE next_x = x[i] + alpha * p[i];
-        const WIDE next_r = r[i] - alpha * q[i];
-        x[i] = next_x;
-        r[i] = next_r;
-        sum += next_x * (b[i] + next_r);
-    }
-    const WIDE total = GROUP_SUM(sum, scratch);
-    if (IS_FIRST_LANE) partials[first_partial + get_group_id(0)] = total;
-}
-
-// y = (REAL)x, and back.
+// y = (REAL)x, and back: y = x or y += x.
 KERNEL void to_real(int n, global const WIDE* restrict x, global REAL* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) y[i] = (REAL)x[i];
 }
-KERNEL void from_real(int n, global const REAL* restrict x, global WIDE* restrict y) {
+KERNEL void from_real(int n, global const REAL* restrict x, int is_added,
+                      global WIDE* restrict y) {
     const int begin = share_begin(n), end = share_end(n);
-    LANES(i, begin, end) y[i] = (WIDE)x[i];
+    LANES(i, begin, end) y[i] = (is_added ? y[i] : (WIDE)0) + (WIDE)x[i];
 }
 
 // x_i = 0 where scale_i is 0: constant parameters.

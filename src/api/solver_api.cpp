@@ -315,7 +315,7 @@ std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int3
                   : download_rows<float>(device, slots, y.data());
     } else if (product == CLBA_PRODUCT_JTY) {
         is_double ? upload_rows<double>(x, device, slots) : upload_rows<float>(x, device, slots);
-        equations.jacobian.multiply_transposed(vector);
+        equations.jacobian.add_transposed(vector);
         mask_constants(device, vector);
         device.download(vector, y.data());
     } else {

@@ -111,8 +111,7 @@ double Jacobian::squared_norm(const Vector& x) {
     return problem_.vectors().squared_norm(product_);
 }
 
-void Jacobian::multiply_transposed(Vector& x) {
-    x.f.fill_zero();
+void Jacobian::add_transposed(Vector& x) {
     for (Buffer& e : point_real_) e.fill_zero();
     product();
     for_each_segment(
@@ -122,7 +121,7 @@ void Jacobian::multiply_transposed(Vector& x) {
                             run_sums_, queue_.scratch());
             reduce_runs(Step::jty, segment, false, segment.num_columns, 0, x.f);
         });
-    for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().from_real(point_real_[c], x.e[c]);
+    for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().add_real(point_real_[c], x.e[c]);
 }
 
 // launch(stages, chunk, segment, c, i): all stages at once where a chunk has one segment; else the
@@ -149,7 +148,6 @@ void Jacobian::launch_in_stages(Launch&& launch) {
 // `stages` leaves out the others of all_stages.
 void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffer>& point_factors,
                             Vector& y) {
-    y.f.fill_zero();
     launch_in_stages([&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment,
                          size_t c, size_t i) {
         const int wanted = stages & of_segment;
@@ -163,8 +161,8 @@ void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffe
     });
 }
 
-void Jacobian::schur_multiply(const Vector& x, const std::vector<Buffer>& point_factors,
-                              Vector& y) {
+void Jacobian::add_schur_product(const Vector& x, const std::vector<Buffer>& point_factors,
+                                 Vector& y) {
     schur_stages(all_stages, x, point_factors, y);
 }
 
@@ -172,6 +170,7 @@ void Jacobian::eliminate(const std::vector<Buffer>& point_gradient,
                          const std::vector<Buffer>& point_factors, Vector& y) {
     if (!zero_.f) zero_ = problem_.make_reduced_vector("elimination");
     for (size_t c = 0; c < point_real_.size(); ++c) point_real_[c].copy_from(point_gradient[c]);
+    y.fill_zero();
     schur_stages(points_stage | backward_stage, zero_, point_factors, y);
 }
 

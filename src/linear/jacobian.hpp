@@ -39,11 +39,11 @@ public:
     std::vector<Buffer>& product();
     // |J x|^2.
     double squared_norm(const Vector& x);
-    // x = J^T y with y = product().
-    void multiply_transposed(Vector& x);
+    // x += J^T y with y = product().
+    void add_transposed(Vector& x);
 
-    // y = (J_F^T J_F - W V^-1 W^T) x on the F side, V^-1 = G^T G by point_factors.
-    void schur_multiply(const Vector& x, const std::vector<Buffer>& point_factors, Vector& y);
+    // y += (J_F^T J_F - W V^-1 W^T) x on the F side, V^-1 = G^T G by point_factors.
+    void add_schur_product(const Vector& x, const std::vector<Buffer>& point_factors, Vector& y);
     // y = -W V^-1 g of the points' g: 3 rows of REAL a chunk.
     void eliminate(const std::vector<Buffer>& point_gradient,
                    const std::vector<Buffer>& point_factors, Vector& y);

@@ -60,8 +60,8 @@ private:
     DampingOptions options_;
     std::string defines_;
     bool has_damping_ = false;  // of some linearisation
-    bool has_u_ = false;    // of the current linearisation
-    Buffer u_;              // made when it is first asked for
+    bool has_u_ = false;        // of the current linearisation
+    Buffer u_;                  // made when it is first asked for
     Vector d2_;
     std::vector<Buffer> fixed_point_damping_;  // levenberg alone: of the first linearisation
     Buffer image_factors_;

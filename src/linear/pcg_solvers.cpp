@@ -6,17 +6,20 @@
 namespace clba {
 namespace {
 
-PcgOptions pcg_options(const LinearSolverOptions& options) {
-    return {options.min_iterations, options.max_iterations, options.eta};
+// make_vector: a vector of the system's parts.
+template <class MakeVector>
+Pcg make_pcg(const LinearSolverOptions& options, DeviceProblem& problem, MakeVector&& make_vector) {
+    return Pcg({options.min_iterations, options.max_iterations, options.eta}, problem.queue(),
+               problem.vectors(), make_vector(), make_vector(), make_vector(), make_vector());
 }
 
 }  // namespace
 
 PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equations)
-    : options_(pcg_options(options)), equations_(equations) {
+    : equations_(equations), pcg_(make_pcg(options, equations.problem(), [&] {
+          return equations.problem().make_vector("PCG");
+      })) {
     DeviceProblem& problem = equations.problem();
-    work_ = {problem.make_vector("PCG"), problem.make_vector("PCG"), problem.make_vector("PCG"),
-             problem.make_vector("PCG")};
     gradient_ = problem.make_vector("the gradient");
     damping_ = problem.make_vector("the damping");
     b_ = problem.make_vector("PCG");
@@ -26,14 +29,13 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
 LinearSolution PcgHessian::solve(double lambda) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
-    lambda_ = lambda;
     solution.num_indefinite_blocks =
         equations_.factor_points(lambda) + equations_.factor_images(lambda, equations_.u());
     if (solution.num_indefinite_blocks > 0) return solution;
     equations_.get_gradient(gradient_);
     equations_.get_damping(damping_);
     vectors.scale_and_add(-1.0, gradient_, 0.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step_);
+    const PcgResult result = pcg_.solve(*this, lambda, damping_, b_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
@@ -44,10 +46,9 @@ void PcgHessian::get_step(Vector& full) {
     full.copy_from(step_);
 }
 
-void PcgHessian::multiply(const Vector& p, Vector& q) {
+void PcgHessian::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.multiply(p);
-    equations_.jacobian.multiply_transposed(q);
-    equations_.problem().vectors().add_damping(lambda_, damping_, p, q);
+    equations_.jacobian.add_transposed(q);
 }
 
 void PcgHessian::precondition(const Vector& r, Vector& z) {
@@ -56,12 +57,11 @@ void PcgHessian::precondition(const Vector& r, Vector& z) {
 }
 
 PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equations)
-    : options_(pcg_options(options)),
-      preconditioner_(options.preconditioner),
-      equations_(equations) {
+    : preconditioner_(options.preconditioner),
+      equations_(equations),
+      pcg_(make_pcg(options, equations.problem(),
+                    [&] { return equations.problem().make_reduced_vector("PCG"); })) {
     DeviceProblem& problem = equations.problem();
-    work_ = {problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG"),
-             problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG")};
     b_ = problem.make_reduced_vector("PCG");
     step_ = problem.make_reduced_vector("the step");
     if (preconditioner_ == Preconditioner::schur_jacobi)
@@ -73,7 +73,6 @@ LinearSolution PcgSchur::solve(double lambda) {
     DeviceProblem& problem = equations_.problem();
     Jacobian& jacobian = equations_.jacobian;
     VectorOperations& vectors = problem.vectors();
-    lambda_ = lambda;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     if (preconditioner_ == Preconditioner::schur_jacobi) {
@@ -87,7 +86,7 @@ LinearSolution PcgSchur::solve(double lambda) {
     // b = -g_F + W V^-1 g_E.
     jacobian.eliminate(equations_.point_gradient, equations_.point_factors(), b_);
     vectors.scale_and_add(-1.0, equations_.gradient, -1.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step_);
+    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), b_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (!solution.is_usable) return solution;
@@ -107,9 +106,8 @@ void PcgSchur::get_step(Vector& full) {
         equations_.problem().vectors().from_real(equations_.jacobian.point_step()[c], full.e[c]);
 }
 
-void PcgSchur::multiply(const Vector& p, Vector& q) {
-    equations_.jacobian.schur_multiply(p, equations_.point_factors(), q);
-    equations_.problem().vectors().add_damping(lambda_, equations_.damping(), p, q);
+void PcgSchur::add_product(const Vector& p, Vector& q) {
+    equations_.jacobian.add_schur_product(p, equations_.point_factors(), q);
 }
 
 void PcgSchur::precondition(const Vector& r, Vector& z) {

@@ -14,13 +14,11 @@ public:
     void get_step(Vector& full) override;
 
 private:
-    void multiply(const Vector& p, Vector& q) override;
+    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
-    PcgOptions options_;
     NormalEquations& equations_;
-    double lambda_ = 0;
-    PcgWork work_;
+    Pcg pcg_;
     Vector gradient_, damping_, b_, step_;
 };
 
@@ -33,14 +31,12 @@ public:
     void get_step(Vector& full) override;
 
 private:
-    void multiply(const Vector& p, Vector& q) override;
+    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
-    PcgOptions options_;
     Preconditioner preconditioner_;
     NormalEquations& equations_;
-    double lambda_ = 0;
-    PcgWork work_;
+    Pcg pcg_;
     Vector b_, step_;  // F alone
     Buffer schur_blocks_;
 };
