@@ -249,7 +249,10 @@ CLBA_API clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, 
 enum {
     CLBA_LINEAR_SOLVER_PCG_SCHUR = 1,   /* implicit Schur complement, never formed */
     CLBA_LINEAR_SOLVER_PCG_HESSIAN = 2, /* the full damped Hessian (Tong et al. 2013, eq. 7) */
-    CLBA_LINEAR_SOLVER_DIRECT_SCHUR = 3 /* sparse Cholesky on the host; plug-in clba_cholmod */
+    CLBA_LINEAR_SOLVER_DIRECT_SCHUR = 3, /* sparse Cholesky on the host; plug-in clba_cholmod */
+    CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR = 4, /* Schur complement formed on the device, block-sparse
+                                              Cholesky on the host; needs no plug-in */
+    CLBA_LINEAR_SOLVER_AUTO = 5 /* pcg_schur for as long as it is the cheaper, then explicit_schur */
 };
 enum {
     CLBA_PRECONDITIONER_DEFAULT = 0, /* schur_jacobi for pcg_schur, block_jacobi for pcg_hessian */

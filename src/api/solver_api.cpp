@@ -55,9 +55,11 @@ void require_above_zero(const char* field, double value) {
 Preconditioner used_preconditioner(const clba_solver_options& given) {
     switch (given.linear_solver) {
         case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
+        case CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR:
             require(given.preconditioner == CLBA_PRECONDITIONER_DEFAULT,
-                    "preconditioner = ", clba_preconditioner_name(given.preconditioner),
-                    ", but direct_schur takes none; leave it at its default");
+                    "preconditioner = ", clba_preconditioner_name(given.preconditioner), ", but ",
+                    clba_linear_solver_name(given.linear_solver),
+                    " takes none; leave it at its default");
             return Preconditioner::none;
         case CLBA_LINEAR_SOLVER_PCG_HESSIAN:
             require(given.preconditioner != CLBA_PRECONDITIONER_SCHUR_JACOBI,
@@ -347,6 +349,10 @@ const char* clba_linear_solver_name(int32_t linear_solver) {
             return "pcg_hessian";
         case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
             return "direct_schur";
+        case CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR:
+            return "explicit_schur";
+        case CLBA_LINEAR_SOLVER_AUTO:
+            return "auto";
         default:
             return nullptr;
     }

@@ -14,6 +14,7 @@ public:
     DirectSolver(const Problem& problem, NormalEquations& equations);
     LinearSolution solve(double lambda) override;
     void get_step(Vector& full) override { full.copy_from(device_step_); }
+    LinearSolverKind kind() const override { return LinearSolverKind::direct_schur; }
 
 private:
     NormalEquations& equations_;

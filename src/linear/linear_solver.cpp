@@ -3,7 +3,9 @@
 
 #include <cmath>
 
+#include "linear/auto_solver.hpp"
 #include "linear/direct_solver.hpp"
+#include "linear/explicit_schur.hpp"
 #include "linear/pcg_solvers.hpp"
 
 namespace clba {
@@ -16,6 +18,10 @@ std::unique_ptr<LinearSolver> make_linear_solver(const LinearSolverOptions& opti
             return std::make_unique<PcgHessian>(options, equations);
         case LinearSolverKind::direct_schur:
             return std::make_unique<DirectSolver>(problem, equations);
+        case LinearSolverKind::explicit_schur:
+            return std::make_unique<ExplicitSchur>(problem, equations);
+        case LinearSolverKind::automatic:
+            return std::make_unique<AutoSolver>(options, problem, equations);
         default:
             return std::make_unique<PcgSchur>(options, equations);
     }

@@ -1,13 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 #include <memory>
+#include <string>
 
 #include "linear/normal_equations.hpp"
 #include "problem/problem.hpp"
 
 namespace clba {
 
-enum class LinearSolverKind : int { pcg_schur = 1, pcg_hessian = 2, direct_schur = 3 };
+enum class LinearSolverKind : int {
+    pcg_schur = 1,
+    pcg_hessian = 2,
+    direct_schur = 3,
+    explicit_schur = 4,
+    automatic = 5
+};
 enum class Preconditioner : int { none = 0, block_jacobi = 1, schur_jacobi = 2 };
 
 struct LinearSolverOptions {
@@ -34,6 +41,8 @@ public:
     virtual LinearSolution solve(double lambda) = 0;
     // F and E of the last usable step.
     virtual void get_step(Vector& full) = 0;
+    virtual LinearSolverKind kind() const = 0;         // the one used last
+    virtual std::string reason() const { return {}; }  // why, where there was a choice
 };
 
 // Moves the trial state by a step of F and E, and completes its solution.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/pcg_solvers.hpp"
 
-#include <cmath>
+#include "linear/reduced_system.hpp"
 
 namespace clba {
 namespace {
@@ -70,9 +70,7 @@ PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equation
 
 LinearSolution PcgSchur::solve(double lambda) {
     LinearSolution solution;
-    DeviceProblem& problem = equations_.problem();
     Jacobian& jacobian = equations_.jacobian;
-    VectorOperations& vectors = problem.vectors();
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     if (preconditioner_ == Preconditioner::schur_jacobi) {
@@ -83,27 +81,16 @@ LinearSolution PcgSchur::solve(double lambda) {
     }
     if (solution.num_indefinite_blocks > 0) return solution;
 
-    // b = -g_F + W V^-1 g_E.
-    jacobian.eliminate(equations_.point_gradient, equations_.point_factors(), b_);
-    vectors.scale_and_add(-1.0, equations_.gradient, -1.0, b_);
+    reduced_right_side(equations_, b_);
     const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), b_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
-    if (!solution.is_usable) return solution;
-
-    problem.update(step_);
-    const BackSubstitution points =
-        jacobian.back_substitute(step_, equations_.point_gradient, equations_.point_factors());
-    solution.model_decrease =
-        -(vectors.dot(equations_.gradient, step_) + points.slope) - 0.5 * points.squared_norm;
-    solution.step_norm = std::sqrt(vectors.dot(step_, step_) + points.squared_point_steps);
+    if (solution.is_usable) take_reduced_step(equations_, step_, solution);
     return solution;
 }
 
 void PcgSchur::get_step(Vector& full) {
-    full.f.copy_from(step_.f);
-    for (size_t c = 0; c < full.e.size(); ++c)
-        equations_.problem().vectors().from_real(equations_.jacobian.point_step()[c], full.e[c]);
+    get_reduced_step(equations_, step_, full);
 }
 
 void PcgSchur::add_product(const Vector& p, Vector& q) {

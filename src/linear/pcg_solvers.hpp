@@ -12,6 +12,7 @@ public:
     PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
     LinearSolution solve(double lambda) override;
     void get_step(Vector& full) override;
+    LinearSolverKind kind() const override { return LinearSolverKind::pcg_hessian; }
 
 private:
     void add_product(const Vector& p, Vector& q) override;
@@ -29,6 +30,7 @@ public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
     LinearSolution solve(double lambda) override;
     void get_step(Vector& full) override;
+    LinearSolverKind kind() const override { return LinearSolverKind::pcg_schur; }
 
 private:
     void add_product(const Vector& p, Vector& q) override;
