@@ -2,6 +2,7 @@
 // Solving, results, and evaluation for the caller's own loop.
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "api/handles.hpp"
 #include "api/report.hpp"
@@ -17,7 +18,7 @@ clba_solver_options default_solver_options() {
     const MinimizerOptions defaults;
     clba_solver_options options{};
     options.struct_size = sizeof options;
-    options.linear_solver = CLBA_LINEAR_SOLVER_PCG_SCHUR;
+    options.linear_solver = CLBA_LINEAR_SOLVER_AUTO;
     options.preconditioner = CLBA_PRECONDITIONER_DEFAULT;
     options.damping = CLBA_DAMPING_MARQUARDT;
     options.precision = CLBA_PRECISION_MIXED;
@@ -91,7 +92,7 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     require_named(clba_preconditioner_name(given.preconditioner), "preconditioner",
                   given.preconditioner);
     require_named(clba_damping_name(given.damping), "damping", given.damping);
-    require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
+    require_named(clba_jacobian_name(given.jacobian), "jacobian", given.jacobian);
     require_at_least("max_num_iterations", given.max_num_iterations, 0);
     require_at_least("max_linear_solver_iterations", given.max_linear_solver_iterations, 1);
     require_at_least("min_linear_solver_iterations", given.min_linear_solver_iterations, 0);
@@ -120,6 +121,8 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     options.linear_solver.min_iterations = given.min_linear_solver_iterations;
     options.linear_solver.max_iterations = given.max_linear_solver_iterations;
     options.linear_solver.eta = given.eta > 0 ? given.eta : default_eta(options.linear_solver);
+    options.jacobian =
+        given.jacobian == CLBA_JACOBIAN_STORED ? JacobianForm::stored : JacobianForm::recomputed;
     options.damping.policy = static_cast<Damping>(given.damping);
     options.damping.min_diagonal = given.min_damping_diagonal;
     options.damping.max_diagonal = given.max_damping_diagonal;
@@ -155,7 +158,7 @@ clba_iteration public_row(const IterationRow& row) {
     return out;
 }
 
-clba_summary public_summary(const Summary& summary) {
+clba_summary public_summary(const Summary& summary, const clba_solver_options& given) {
     clba_summary out{};
     out.struct_size = sizeof out;
     out.termination = static_cast<int32_t>(summary.termination);
@@ -198,12 +201,23 @@ clba_summary public_summary(const Summary& summary) {
     out.peak_device_bytes = summary.peak_device_bytes;
     copy_text(summary.device, out.device);
     copy_text(summary.message, out.message);
+    out.given_linear_solver = given.linear_solver;
+    out.given_preconditioner = given.preconditioner;
+    out.given_precision = given.precision;
+    out.jacobian = static_cast<int32_t>(summary.jacobian);
+    out.factorization_seconds = summary.factorization_seconds;
+    const double device_seconds =
+        std::accumulate(summary.step_seconds.begin(), summary.step_seconds.end(), 0.0);
+    if (device_seconds > 0)
+        out.host_seconds = summary.total_seconds - summary.build_seconds -
+                           summary.factorization_seconds - device_seconds;
+    copy_text(summary.choice, out.choice);
     return out;
 }
 
-std::unique_ptr<clba_result> make_result(const Summary& summary) {
+std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solver_options& given) {
     auto result = std::make_unique<clba_result>();
-    result->summary = public_summary(summary);
+    result->summary = public_summary(summary, given);
     for (const IterationRow& row : summary.rows) result->rows.push_back(public_row(row));
     result->report = report_text(result->summary, result->rows);
     result->json = report_json(result->summary, result->rows);
@@ -395,6 +409,19 @@ const char* clba_precision_name(int32_t precision) {
     }
 }
 
+const char* clba_jacobian_name(int32_t jacobian) {
+    switch (jacobian) {
+        case CLBA_JACOBIAN_DEFAULT:
+            return "default";
+        case CLBA_JACOBIAN_RECOMPUTED:
+            return "recomputed";
+        case CLBA_JACOBIAN_STORED:
+            return "stored";
+        default:
+            return nullptr;
+    }
+}
+
 clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size) {
     return guarded([&] { init_struct(options, struct_size, default_solver_options(), "options"); });
 }
@@ -416,7 +443,7 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
         try {
             const Summary summary =
                 solve(problem->problem, context->context, internal, precision, problem->mirror);
-            if (result) *result = make_result(summary).release();
+            if (result) *result = make_result(summary, given).release();
         } catch (...) {
             problem->mirror.reset();
             throw;

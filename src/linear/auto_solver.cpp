@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/auto_solver.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -26,8 +27,11 @@ constexpr int64_t most_pairs = int64_t{1} << 28;
 
 AutoSolver::AutoSolver(const LinearSolverOptions& options, const Problem& problem,
                        NormalEquations& equations)
-    : problem_(problem), equations_(equations), pcg_(options, equations) {
-    reason_ = "conjugate gradients took few iterations a step";
+    : problem_(problem),
+      equations_(equations),
+      pcg_(options, equations),
+      max_iterations_(options.max_iterations) {
+    reason_ = "no step took more iterations of conjugate gradients than an exact one costs";
 }
 
 double AutoSolver::break_even_iterations() {
@@ -47,29 +51,36 @@ double AutoSolver::break_even_iterations() {
 
 LinearSolution AutoSolver::solve(double lambda) {
     ++num_steps_;
-    if (explicit_) {
-        last_ = explicit_.get();
-        return explicit_->solve(lambda);
+    if (!explicit_) {
+        last_ = &pcg_;
+        const LinearSolution solution = pcg_.solve(lambda);
+        if (solution.num_iterations <= few_iterations) return solution;
+        if (!break_even_) {
+            break_even_ = break_even_iterations();
+            pcg_.limit_iterations(
+                static_cast<int>(std::min<double>(max_iterations_, std::ceil(*break_even_))));
+        }
+        if (solution.num_iterations < *break_even_ || !make_explicit(solution.num_iterations))
+            return solution;
     }
-    const LinearSolution solution = pcg_.solve(lambda);
-    if (solution.num_iterations <= few_iterations) return solution;
-    if (!break_even_) break_even_ = break_even_iterations();
-    if (solution.num_iterations <= *break_even_) {
-        reason_ = text("an exact step costs as much as ", std::llround(*break_even_),
-                       " iterations of conjugate gradients, more than any step took");
-        return solution;
-    }
+    last_ = explicit_.get();
+    return explicit_->solve(lambda);
+}
+
+bool AutoSolver::make_explicit(int num_iterations) {
     try {
         explicit_ = std::make_unique<ExplicitSchur>(problem_, equations_);
-        reason_ = text("step ", num_steps_, " took ", solution.num_iterations,
-                       " iterations of conjugate gradients, and an exact step costs as much as ",
-                       std::llround(*break_even_));
     } catch (const Error& error) {
         if (error.status() != Status::out_of_memory) throw;
-        break_even_ = std::numeric_limits<double>::infinity();
         reason_ = "there was no memory for explicit_schur";
+        break_even_ = std::numeric_limits<double>::infinity();
+        pcg_.limit_iterations(max_iterations_);
+        return false;
     }
-    return solution;
+    reason_ = text("step ", num_steps_, " took ", num_iterations,
+                   " or more iterations of conjugate gradients; an exact step costs as much as ",
+                   std::llround(*break_even_));
+    return true;
 }
 
 void AutoSolver::get_step(Vector& full) {

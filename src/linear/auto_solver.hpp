@@ -24,10 +24,12 @@ public:
 
 private:
     double break_even_iterations();
+    bool make_explicit(int num_iterations);  // false: no memory
 
     const Problem& problem_;
     NormalEquations& equations_;
     PcgSchur pcg_;
+    int max_iterations_;
     std::unique_ptr<ExplicitSchur> explicit_;
     LinearSolver* last_ = &pcg_;        // that took a step
     std::optional<double> break_even_;  // iterations that cost as much as an explicit step

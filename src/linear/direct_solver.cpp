@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/direct_solver.hpp"
 
+#include "base/stopwatch.hpp"
+
 namespace clba {
 namespace {
 
@@ -91,7 +93,9 @@ LinearSolution DirectSolver::solve(double lambda) {
     for (double& d : damping_) d *= lambda;
     LinearSolution solution;
     solution.num_iterations = 1;
+    const Stopwatch watch;
     solution.is_usable = direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
+    solution.factorization_seconds = watch.seconds();
     solution.num_indefinite_blocks = direct_.num_indefinite();
     if (!solution.is_usable) return solution;
     device.upload(step_.data(), device_step_);

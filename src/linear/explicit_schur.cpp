@@ -6,6 +6,7 @@
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
+#include "base/stopwatch.hpp"
 #include "linear/reduced_system.hpp"
 
 namespace clba {
@@ -174,13 +175,18 @@ void ExplicitSchur::finish_values(double lambda, double* values) {
     }
 }
 
-bool ExplicitSchur::factorize(double lambda) {
-    form_blocks();
+bool ExplicitSchur::factorize(double lambda, double& seconds) {
+    const auto timed = [&](const double* values) {
+        const Stopwatch watch;
+        const bool is_definite = cholesky_.factorize(values);
+        seconds += watch.seconds();
+        return is_definite;
+    };
     equations_.damping().f.read(damping_.data(), damping_.size() * sizeof(double));
     if (!has_shared_cameras_) {
         const auto blocks = blocks_.map_update<double>();
         finish_values(lambda, blocks.data());
-        return cholesky_.factorize(blocks.data());
+        return timed(blocks.data());
     }
     std::fill(values_.begin(), values_.end(), 0.0);
     {
@@ -199,7 +205,7 @@ bool ExplicitSchur::factorize(double lambda) {
         }
     }
     finish_values(lambda, values_.data());
-    return cholesky_.factorize(values_.data());
+    return timed(values_.data());
 }
 
 LinearSolution ExplicitSchur::solve(double lambda) {
@@ -207,7 +213,8 @@ LinearSolution ExplicitSchur::solve(double lambda) {
     solution.num_iterations = 1;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
-    if (!factorize(lambda)) {
+    form_blocks();
+    if (!factorize(lambda, solution.factorization_seconds)) {
         solution.num_indefinite_blocks = 1;
         return solution;
     }
@@ -217,7 +224,9 @@ LinearSolution ExplicitSchur::solve(double lambda) {
     const ParameterLayout& layout = equations_.problem().layout();
     for (int32_t k = 0; k < layout.num_f; ++k)
         if (!(layout.scale[k] > 0)) right_side_[k] = 0;
+    const Stopwatch watch;
     cholesky_.solve(right_side_.data(), right_side_.data());
+    solution.factorization_seconds += watch.seconds();
     step_.f.write(right_side_.data(), bytes);
     solution.is_usable = std::all_of(right_side_.begin(), right_side_.end(),
                                      [](double x) { return std::isfinite(x); });

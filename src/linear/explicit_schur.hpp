@@ -30,7 +30,7 @@ private:
     void upload_structure();
     void list_targets(const Problem& problem, const BlockPattern& pattern);
     void form_blocks();
-    bool factorize(double lambda);
+    bool factorize(double lambda, double& seconds);  // adds what it took
     void finish_values(double lambda, double* values);
 
     NormalEquations& equations_;

@@ -31,6 +31,7 @@ struct LinearSolution {
     int64_t num_indefinite_blocks = 0;
     double model_decrease = 0;  // -gradient . step - 1/2 |J step|^2
     double step_norm = 0;
+    double factorization_seconds = 0;  // on the host
 };
 
 // Solves (J^T J + lambda D^2) step = -gradient for the current normal equations, and leaves the

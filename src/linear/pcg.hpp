@@ -33,6 +33,7 @@ public:
     Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vector r, Vector z,
         Vector p, Vector q);
 
+    void limit_iterations(int max_iterations) { options_.max_iterations = max_iterations; }
     // Solves (A + lambda D^2) x = b from x = 0. Stops when iteration k improves the quadratic model
     // Q(x) = 1/2 x^T A x - b^T x by a share less than eta / k: k (Q_k - Q_k-1) / Q_k < eta (Nash
     // and Sofer, "Assessing a search direction within a truncated-Newton method", 1990). On

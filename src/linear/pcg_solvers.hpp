@@ -29,6 +29,8 @@ class PcgSchur : public LinearSolver, private PcgSystem {
 public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
     LinearSolution solve(double lambda) override;
+    // Of the solves to come.
+    void limit_iterations(int max_iterations) { pcg_.limit_iterations(max_iterations); }
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::pcg_schur; }
 

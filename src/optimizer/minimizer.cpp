@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "base/error.hpp"
+#include "base/stopwatch.hpp"
 #include "optimizer/evaluator.hpp"
-#include "optimizer/stopwatch.hpp"
 #include "optimizer/trust_region.hpp"
 
 namespace clba {
@@ -43,6 +43,8 @@ public:
         summary_.num_behind_final = current_.num_behind;
         summary_.num_singular = current_.num_singular;
         summary_.step_seconds = device_.queue().step_seconds();
+        summary_.linear_solver = solver_->kind();
+        summary_.choice = solver_->reason();
     }
 
 private:
@@ -116,6 +118,7 @@ private:
         const LinearSolution solution = solver_->solve(trust_region_.lambda());
         summary_.num_indefinite_blocks += solution.num_indefinite_blocks;
         summary_.num_linear_solver_iterations += solution.num_iterations;
+        summary_.factorization_seconds += solution.factorization_seconds;
         row_.linear_solver_iterations = solution.num_iterations;
         row_.step_norm = solution.step_norm;
         summary_.linear_solver_seconds += lap();
