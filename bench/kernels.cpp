@@ -8,6 +8,7 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <functional>
 #include <memory>
 #include <string>
@@ -45,21 +46,21 @@ Problem bench_scene() {
 
 // Everything that the kernels work on, at the scene's start.
 struct Rig {
-    Rig(std::shared_ptr<Context> context, const Problem& scene, Precision precision)
+    Rig(std::shared_ptr<Context> context, const Problem& scene, Precision precision,
+        JacobianForm form)
         : device(std::move(context), scene, precision),
           evaluator((device.upload_state(scene), device), scene),
-          equations(device, DampingOptions()),
+          equations(device, DampingOptions(), form, scene.loss),
           x(device.make_vector("x")),
           y(device.make_vector("y")),
           z(device.make_vector("z")),
-          schur_blocks(device.queue(), device.matrices_bytes(), "blocks"),
-          v(device.make_point_rows(6, sizeof(double), "v")) {
+          schur_blocks(device.queue(), device.matrices_bytes(), "blocks") {
         evaluator.linearize(equations);
-        equations.update_blocks();
         equations.factor_points(1e-4);
         equations.factor_images(1e-4, equations.u());
         equations.apply_image_factors(equations.gradient, x);
-        equations.apply_point_factors(equations.gradient, x);
+        equations.get_gradient(y);
+        equations.apply_point_factors(y, x);
         device.queue().finish();
     }
     DeviceProblem device;
@@ -67,15 +68,20 @@ struct Rig {
     NormalEquations equations;
     Vector x, y, z;
     Buffer schur_blocks;
-    std::vector<Buffer> v;
 };
 
 using Work = std::function<void(Rig&)>;
+
+// Of all threads; unlike wall time it hardly rises when other programs share the machine.
+double processor_time() {
+    return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
+}
 
 void measure(benchmark::State& state, Rig& rig, const Work& work) {
     work(rig);  // the first launch may compile
     rig.device.queue().finish();
     double total_seconds = 0;
+    const double processor_start = processor_time();
     for (auto _ : state) {
         const auto start = std::chrono::steady_clock::now();
         work(rig);
@@ -85,6 +91,10 @@ void measure(benchmark::State& state, Rig& rig, const Work& work) {
         state.SetIterationTime(seconds);
         total_seconds += seconds;
     }
+    const double processor_seconds = processor_time() - processor_start;
+    state.counters["cpu_ns/obs"] = 1e9 * processor_seconds /
+                                   static_cast<double>(state.iterations()) /
+                                   static_cast<double>(rig.device.num_observations());
     state.counters["ns/obs"] = 1e9 * total_seconds / static_cast<double>(state.iterations()) /
                                static_cast<double>(rig.device.num_observations());
 }
@@ -105,16 +115,32 @@ int main(int argc, char** argv) {
                     static_cast<long long>(scene.num_observations()));
         const std::pair<const char*, Work> works[] = {
             {"residual", [](Rig& rig) { rig.evaluator.cost(rig.device.state, nullptr); }},
-            {"jacobian_and_gradient", [](Rig& rig) { rig.evaluator.linearize(rig.equations); }},
+            {"linearize", [](Rig& rig) { rig.evaluator.linearize(rig.equations); }},
+            {"linearize_u_v_inverse",
+             [](Rig& rig) {
+                 rig.evaluator.linearize(rig.equations);
+                 rig.equations.u();
+                 rig.equations.factor_points(1e-4);
+             }},
             {"jx", [](Rig& rig) { rig.equations.jacobian.multiply(rig.x); }},
-            {"jty", [](Rig& rig) { rig.equations.jacobian.multiply_transposed(rig.y); }},
+            {"jty", [](Rig& rig) { rig.equations.jacobian.add_transposed(rig.y); }},
             {"schur_product",
              [](Rig& rig) {
-                 rig.equations.jacobian.schur_multiply(rig.x, rig.equations.point_factors(), rig.y);
+                 rig.equations.jacobian.add_schur_product(rig.x, rig.equations.point_factors(),
+                                                          rig.y);
              }},
             {"image_blocks",
              [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},
-            {"point_blocks", [](Rig& rig) { rig.equations.jacobian.point_blocks(rig.v); }},
+            {"eliminate",
+             [](Rig& rig) {
+                 rig.equations.jacobian.eliminate(rig.equations.point_gradient,
+                                                  rig.equations.point_factors(), rig.y);
+             }},
+            {"back_substitute",
+             [](Rig& rig) {
+                 rig.equations.jacobian.back_substitute(rig.x, rig.equations.point_gradient,
+                                                        rig.equations.point_factors());
+             }},
             {"schur_blocks",
              [](Rig& rig) {
                  rig.equations.jacobian.schur_blocks(rig.equations.point_factors(),
@@ -128,16 +154,23 @@ int main(int argc, char** argv) {
             {"apply_image_factors",
              [](Rig& rig) { rig.equations.apply_image_factors(rig.x, rig.y); }},
             {"dot", [](Rig& rig) { rig.device.vectors().dot(rig.x, rig.y); }},
-            {"pcg_step",
-             [](Rig& rig) {
-                 rig.device.vectors().pcg_step(0.0, rig.x, rig.x, rig.x, rig.y, rig.z);
-             }},
             {"update_state", [](Rig& rig) { rig.device.update(rig.x); }},
         };
         std::vector<std::unique_ptr<Rig>> rigs;
-        for (const Precision precision : {Precision::mixed, Precision::double_precision}) {
-            rigs.push_back(std::make_unique<Rig>(context, scene, precision));
-            const std::string prefix = precision == Precision::mixed ? "mixed/" : "double/";
+        struct Variant {
+            const char* name;
+            Precision precision;
+            JacobianForm form;
+        };
+        constexpr Variant variants[] = {
+            {"mixed", Precision::mixed, JacobianForm::recomputed},
+            {"double", Precision::double_precision, JacobianForm::recomputed},
+            {"mixed_stored", Precision::mixed, JacobianForm::stored},
+            {"double_stored", Precision::double_precision, JacobianForm::stored},
+        };
+        for (const Variant& variant : variants) {
+            rigs.push_back(std::make_unique<Rig>(context, scene, variant.precision, variant.form));
+            const std::string prefix = std::string(variant.name) + '/';
             for (const auto& [name, work] : works)
                 benchmark::RegisterBenchmark(
                     (prefix + name).c_str(),

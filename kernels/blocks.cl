@@ -1,161 +1,142 @@
 // SPDX-License-Identifier: Apache-2.0
-// Diagonal blocks from the stored Jacobian (layout in jacobian.cl): one work-group a tile.
-#define LANE_WIDTH 8
+// Blocks from the Jacobian (jacobian.clh): one work-group a tile.
 #include "lanes.clh"
+#include "tiles.clh"
+#include "jacobian.clh"
 
-#ifndef COLUMNS
-#define COLUMNS 9  // C: 6 + intrinsics of the camera model
-#endif
-#define ROWS (2 * COLUMNS + 6)
 #define TRIANGLE (COLUMNS * (COLUMNS + 1) / 2)
-
-// V = sum J_E^T J_E of each point, added to 6 rows: xx, yx, yy, zx, zy, zz.
-// Writers: group t alone writes V of its points.
-KERNEL void point_blocks(global const int* restrict tile_points,
-                         global const int* restrict tile_runs,
-                         global const int* restrict run_slots,
-                         global const ushort* restrict slot_point,
-                         global const REAL* restrict blocks, int num_point_slots,
-                         global double* restrict v) {
-    const int tile = get_group_id(0);
-    global double* v00 = v + tile_points[tile];
-    global double* v10 = v00 + num_point_slots;
-    global double* v11 = v10 + num_point_slots;
-    global double* v20 = v11 + num_point_slots;
-    global double* v21 = v20 + num_point_slots;
-    global double* v22 = v21 + num_point_slots;
-    for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
-        const int first = run_slots[run];
-        const int n = run_length(first, run_slots[run + 1]);
-        global const ushort* point = slot_point + first;
-        global const REAL* j_e = blocks + ROWS * (long)first + 2 * COLUMNS * n;
-        LANES_MEET();
-        LANES(l, 0, n) {
-            const int i = point[l];
-            const double e0 = j_e[l], e1 = j_e[n + l], e2 = j_e[2 * n + l];
-            const double h0 = j_e[3 * n + l], h1 = j_e[4 * n + l], h2 = j_e[5 * n + l];
-            v00[i] += e0 * e0 + h0 * h0;
-            v10[i] += e1 * e0 + h1 * h0;
-            v11[i] += e1 * e1 + h1 * h1;
-            v20[i] += e2 * e0 + h2 * h0;
-            v21[i] += e2 * e1 + h2 * h1;
-            v22[i] += e2 * e2 + h2 * h2;
-        }
-    }
-}
-
-// M = I - J_E V^-1 J_E^T of each observation, with V^-1 = G^T G: 3 rows m00, m10, m11 of each run's
-// slots. These weigh the image blocks of the Schur complement's diagonal.
-// Writers: group t alone writes the slots of its runs.
-KERNEL void schur_weights(global const int* restrict tile_points,
-                          global const int* restrict tile_runs,
-                          global const int* restrict run_slots,
-                          global const ushort* restrict slot_point,
-                          global const REAL* restrict blocks, int num_point_slots,
-                          global const REAL* restrict point_factors,
-                          global REAL* restrict weights) {
-    const int tile = get_group_id(0);
-    global const REAL* g = point_factors + tile_points[tile];
-    for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
-        const int first = run_slots[run];
-        const int n = run_length(first, run_slots[run + 1]);
-        global const ushort* point = slot_point + first;
-        global const REAL* j_e = blocks + ROWS * (long)first + 2 * COLUMNS * n;
-        global REAL* out = weights + 3 * (long)first;
-        LANES(l, 0, n) {
-            const int i = point[l];
-            const double g00 = g[i], g10 = g[num_point_slots + i], g11 = g[2 * num_point_slots + i];
-            const double g20 = g[3 * num_point_slots + i], g21 = g[4 * num_point_slots + i];
-            const double g22 = g[5 * num_point_slots + i];
-            const double e0 = j_e[l], e1 = j_e[n + l], e2 = j_e[2 * n + l];
-            const double h0 = j_e[3 * n + l], h1 = j_e[4 * n + l], h2 = j_e[5 * n + l];
-            // Rows of J_E G^T.
-            const double a0 = g00 * e0, a1 = g10 * e0 + g11 * e1;
-            const double a2 = g20 * e0 + g21 * e1 + g22 * e2;
-            const double b0 = g00 * h0, b1 = g10 * h0 + g11 * h1;
-            const double b2 = g20 * h0 + g21 * h1 + g22 * h2;
-            out[l] = (REAL)(1 - (a0 * a0 + a1 * a1 + a2 * a2));
-            out[n + l] = (REAL)(-(a0 * b0 + a1 * b1 + a2 * b2));
-            out[2 * n + l] = (REAL)(1 - (b0 * b0 + b1 * b1 + b2 * b2));
-        }
-    }
-}
-
-// Sums of J_F^T M J_F over each run, with M = I where weights is NULL: TRIANGLE doubles a run, the
-// lower triangle row by row. A pass over the run for each 3 x 3 part, so that its sums stay in
-// registers while the run's Jacobian stays in the cache.
-// Writers: group t alone writes the sums of its runs.
+#define PIECE 128  // slots whose rows are held at a time
 #define PART 3
-KERNEL void image_blocks(global const int* restrict tile_runs,
-                         global const int* restrict run_slots,
-                         global const REAL* restrict blocks, global const REAL* restrict weights,
-                         global double* restrict run_blocks, local double* scratch) {
+
+// Sums of J_F^T M J_F over each run: TRIANGLE numbers a run, the lower triangle row by row. M = I
+// where point_factors is NULL; else M = I - J_E V^-1 J_E^T with V^-1 = G^T G, which makes the diagonal
+// blocks of the Schur complement. M is positive semidefinite and is taken apart as K^T K, so that
+// the sums are positive semidefinite whatever the rounding. A pass over the rows K J_F of a piece for
+// each 3 x 3 part, so that its sums stay in registers.
+// Writers: group t alone writes the sums of its runs.
+KERNEL void image_blocks(TILES, global const WIDE* restrict images,
+                         global const REAL* restrict rows,
+                         global const REAL* restrict point_factors,  // 6 rows, or NULL
+                         global WIDE* restrict run_blocks, local WIDE* scratch) {
+    local REAL kept[2 * COLUMNS * PIECE];
     const int tile = get_group_id(0);
+    global const REAL* g = point_factors + (point_factors ? tile_points[tile] : 0);
+    const bool is_schur = point_factors != 0;
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];
         const int n = run_length(first, run_slots[run + 1]);
-        global const REAL* top = blocks + ROWS * (long)first;
-        global const REAL* bottom = top + COLUMNS * n;
-        global const REAL* m = weights ? weights + 3 * (long)first : 0;
-        global double* out = run_blocks + TRIANGLE * (long)run;
-        int row = 0, column = 0;
-        do {
-            // Rows of the Jacobian for the part's rows and columns; past the last one, the last.
-            int at_row[PART], at_column[PART];
+        const run_t shared = load_run(rows, first, n, images + IMAGE_RECORD * run_image[run]);
+        global const ushort* point = slot_point + first;
+        WIDE total[TRIANGLE];
+        for (int k = 0; k < TRIANGLE; ++k) total[k] = 0;
+        for (int begin = 0; begin < n; begin += PIECE) {
+            const int size = run_length(begin, min(n, begin + PIECE));
+            LANES_MEET();
+            if (is_schur) {
+                LANES(l, 0, size) {
+                    const jacobian_t j = load_jacobian(&shared, begin + l);
+                    REAL f[2 * COLUMNS], e[6];
+                    image_rows(&j, f);
+                    point_rows(&shared, &j, e);
+                    const int i = point[begin + l];
+                    const REAL g00 = g[i], g10 = g[num_point_slots + i];
+                    const REAL g11 = g[2 * num_point_slots + i], g20 = g[3 * num_point_slots + i];
+                    const REAL g21 = g[4 * num_point_slots + i], g22 = g[5 * num_point_slots + i];
+                    // Rows of J_E G^T.
+                    const REAL a0 = g00 * e[0], a1 = g10 * e[0] + g11 * e[1];
+                    const REAL a2 = g20 * e[0] + g21 * e[1] + g22 * e[2];
+                    const REAL b0 = g00 * e[3], b1 = g10 * e[3] + g11 * e[4];
+                    const REAL b2 = g20 * e[3] + g21 * e[4] + g22 * e[5];
+                    const REAL m00 = 1 - (a0 * a0 + a1 * a1 + a2 * a2);
+                    const REAL m10 = -(a0 * b0 + a1 * b1 + a2 * b2);
+                    const REAL m11 = 1 - (b0 * b0 + b1 * b1 + b2 * b2);
+                    // K = [k00, k01; 0, k11] with K^T K = M.
+                    const REAL k00 = sqrt(fmax(m00, (REAL)0));
+                    const REAL k01 = k00 > 0 ? m10 / k00 : (REAL)0;
+                    const REAL k11 = sqrt(fmax(m11 - k01 * k01, (REAL)0));
 #pragma unroll
-            for (int k = 0; k < PART; ++k) {
-                at_row[k] = min(row + k, COLUMNS - 1) * n;
-                at_column[k] = min(column + k, COLUMNS - 1) * n;
-            }
-            double sum[PART * PART];
-#pragma unroll
-            for (int k = 0; k < PART * PART; ++k) sum[k] = 0;
-            if (m) {
-                LANES(l, 0, n) {
-                    const double m00 = m[l], m10 = m[n + l], m11 = m[2 * n + l];
-                    double a[PART], b[PART];
-#pragma unroll
-                    for (int k = 0; k < PART; ++k) {
-                        const double j0 = top[at_row[k] + l], j1 = bottom[at_row[k] + l];
-                        a[k] = m00 * j0 + m10 * j1;
-                        b[k] = m10 * j0 + m11 * j1;
-                    }
-#pragma unroll
-                    for (int k = 0; k < PART; ++k) {
-                        const double j0 = top[at_column[k] + l], j1 = bottom[at_column[k] + l];
-                        sum[k] += a[0] * j0 + b[0] * j1;
-                        sum[PART + k] += a[1] * j0 + b[1] * j1;
-                        sum[2 * PART + k] += a[2] * j0 + b[2] * j1;
+                    for (int k = 0; k < COLUMNS; ++k) {
+                        kept[k * PIECE + l] = k00 * f[k] + k01 * f[COLUMNS + k];
+                        kept[(COLUMNS + k) * PIECE + l] = k11 * f[COLUMNS + k];
                     }
                 }
             } else {
-                LANES(l, 0, n) {
-                    double a[PART], b[PART];
+                LANES(l, 0, size) {
+                    const jacobian_t j = load_jacobian(&shared, begin + l);
+                    REAL f[2 * COLUMNS];
+                    image_rows(&j, f);
 #pragma unroll
-                    for (int k = 0; k < PART; ++k) {
-                        a[k] = top[at_row[k] + l];
-                        b[k] = bottom[at_row[k] + l];
-                    }
-#pragma unroll
-                    for (int k = 0; k < PART; ++k) {
-                        const double j0 = top[at_column[k] + l], j1 = bottom[at_column[k] + l];
-                        sum[k] += a[0] * j0 + b[0] * j1;
-                        sum[PART + k] += a[1] * j0 + b[1] * j1;
-                        sum[2 * PART + k] += a[2] * j0 + b[2] * j1;
-                    }
+                    for (int k = 0; k < 2 * COLUMNS; ++k) kept[k * PIECE + l] = f[k];
                 }
             }
+            LANES_MEET();
+            int row = 0, column = 0;
+            do {
+                // Rows of the Jacobian for the part's rows and columns; past the last one, the last.
+                int at_row[PART], at_column[PART];
 #pragma unroll
-            for (int k = 0; k < PART * PART; ++k) {
-                const double total = GROUP_SUM(sum[k], scratch);
-                const int i = row + k / PART, j = column + k % PART;
-                if (IS_FIRST_LANE && i < COLUMNS && j <= i) out[i * (i + 1) / 2 + j] = total;
-            }
-            column += PART;
-            if (column > row) {
-                column = 0;
-                row += PART;
-            }
-        } while (row < COLUMNS);
+                for (int k = 0; k < PART; ++k) {
+                    at_row[k] = min(row + k, COLUMNS - 1) * PIECE;
+                    at_column[k] = min(column + k, COLUMNS - 1) * PIECE;
+                }
+                REAL sum[PART * PART];
+#pragma unroll
+                for (int k = 0; k < PART * PART; ++k) sum[k] = 0;
+                LANES(l, 0, size) {
+#pragma unroll
+                    for (int row_of_two = 0; row_of_two < 2; ++row_of_two) {
+                        local const REAL* of = kept + row_of_two * COLUMNS * PIECE + l;
+                        const REAL a0 = of[at_row[0]], a1 = of[at_row[1]], a2 = of[at_row[2]];
+                        const REAL b0 = of[at_column[0]], b1 = of[at_column[1]];
+                        const REAL b2 = of[at_column[2]];
+                        sum[0] += a0 * b0;
+                        sum[1] += a0 * b1;
+                        sum[2] += a0 * b2;
+                        sum[3] += a1 * b0;
+                        sum[4] += a1 * b1;
+                        sum[5] += a1 * b2;
+                        sum[6] += a2 * b0;
+                        sum[7] += a2 * b1;
+                        sum[8] += a2 * b2;
+                    }
+                }
+#pragma unroll
+                for (int k = 0; k < PART * PART; ++k) {
+                    const WIDE of_piece = GROUP_SUM(sum[k], scratch);
+                    const int i = row + k / PART, j = column + k % PART;
+                    if (i < COLUMNS && j <= i) total[i * (i + 1) / 2 + j] += of_piece;
+                }
+                column += PART;
+                if (column > row) {
+                    column = 0;
+                    row += PART;
+                }
+            } while (row < COLUMNS);
+        }
+        if (IS_FIRST_LANE)
+            for (int k = 0; k < TRIANGLE; ++k) run_blocks[TRIANGLE * (long)run + k] = total[k];
+    }
+}
+
+// The blocks of each observation as rows of its run, in the layout of STORED 1.
+// Writers: group t alone writes the slots of its runs.
+KERNEL void jacobian_rows(TILES, global const WIDE* restrict images,
+                          global const REAL* restrict rows, global REAL* restrict expanded) {
+    const int tile = get_group_id(0);
+    for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
+        const int first = run_slots[run];
+        const int n = run_length(first, run_slots[run + 1]);
+        const run_t shared = load_run(rows, first, n, images + IMAGE_RECORD * run_image[run]);
+        global REAL* out = expanded + (2 * COLUMNS + 6) * (long)first;
+        LANES(l, 0, n) {
+            const jacobian_t j = load_jacobian(&shared, l);
+            REAL f[2 * COLUMNS], e[6];
+            image_rows(&j, f);
+            point_rows(&shared, &j, e);
+#pragma unroll
+            for (int k = 0; k < 2 * COLUMNS; ++k) out[k * n + l] = f[k];
+#pragma unroll
+            for (int k = 0; k < 6; ++k) out[(2 * COLUMNS + k) * n + l] = e[k];
+        }
     }
 }

@@ -11,83 +11,93 @@
 #define MAX_TRIANGLE (MAX_BLOCK * (MAX_BLOCK + 1) / 2)
 
 // D_i^2 of scalar i (clba.h, CLBA_DAMPING_*), with c_i its scale and d_i = diag(J^T J)_i:
-//   policy 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
-//   policy 2, levenberg    (s / c)^2 with s = 1 + sqrt(d_0), d_0 = diag(J^T J)_i at the start
-//   policy 3, uncertainty  1 / c^2
-static inline double damping(int policy, double c, double d, double d_0, double smallest,
-                      double largest) {
-    const double c2 = c * c;
-    const double s = 1 + sqrt(d_0);
-    const double marquardt = fmin(fmax(c2 * d, smallest), largest) / c2;
-    const double value = policy == 1 ? marquardt : (policy == 2 ? s * s : 1.0) / c2;
-    return c > 0 ? value : 0.0;
+//   DAMPING 1, marquardt    clamp(c^2 d, smallest, largest) / c^2
+//   DAMPING 2, levenberg    (s / c)^2 with s = 1 + sqrt(d), of the first linearisation
+//   DAMPING 3, uncertainty  1 / c^2
+#ifndef DAMPING
+#define DAMPING 1
+#endif
+// 1: points have scales; 0: theirs are 1.
+#ifndef SCALED_POINTS
+#define SCALED_POINTS 0
+#endif
+static inline WIDE damping(WIDE c, WIDE d, WIDE smallest, WIDE largest) {
+    const WIDE c2 = c * c;
+#if DAMPING == 1
+    const WIDE value = fmin(fmax(c2 * d, smallest), largest) / c2;
+#elif DAMPING == 2
+    const WIDE s = 1 + sqrt(d);
+    const WIDE value = s * s / c2;
+#else
+    const WIDE value = 1 / c2;
+#endif
+    return c > 0 ? value : (WIDE)0;
 }
 
-// D^2 of the F side. initial_diagonal: of the first linearisation; NULL unless policy is 2.
+// D^2 of n scalars of the F side with the diagonal of J_F^T J_F.
 // Writers: one element each.
-KERNEL void image_damping(int policy, double smallest, double largest, int num_blocks,
-                          global const int* restrict block_offset,
-                          global const int* restrict block_size,
-                          global const int* restrict matrix_offset,
-                          global const double* restrict matrices,
-                          global const double* restrict scale,
-                          global double* restrict initial_diagonal, int is_first,
-                          global double* restrict d2) {
-    const int end = share_end(num_blocks);
-    for (int block = share_begin(num_blocks); block < end; ++block) {
-        global const double* a = matrices + matrix_offset[block];
-        const int offset = block_offset[block];
-        for (int k = 0; k < block_size[block]; ++k) {
-            if (!IS_FIRST_LANE) continue;
-            const double d = a[k * (k + 1) / 2 + k];
-            if (initial_diagonal && is_first) initial_diagonal[offset + k] = d;
-            d2[offset + k] =
-                damping(policy, scale[offset + k], d,
-                        initial_diagonal ? initial_diagonal[offset + k] : 0.0, smallest, largest);
-        }
-    }
+KERNEL void image_damping(WIDE smallest, WIDE largest, int n,
+                          global const WIDE* restrict diagonal, global const WIDE* restrict scale,
+                          global WIDE* restrict d2) {
+    const int begin = share_begin(n), end = share_end(n);
+    LANES(i, begin, end) d2[i] = damping(scale[i], diagonal[i], smallest, largest);
 }
 
-// D^2 of the points: 3 rows. scale may be NULL: 1 everywhere. Spare slots get some value too.
-// Writers: one element each.
-KERNEL void point_damping(int policy, double smallest, double largest, int num_point_slots,
-                          global const double* restrict v, global const double* restrict scale,
-                          global double* restrict initial_diagonal, int is_first,
-                          global double* restrict d2) {
-    const int begin = share_begin(num_point_slots), end = share_end(num_point_slots);
-    const int rows[3] = {0, 2, 5};  // of the diagonal in V's 6
-    for (int k = 0; k < 3; ++k) {
-        global const double* diagonal = v + rows[k] * (long)num_point_slots;
-        global const double* c = scale ? scale + k * (long)num_point_slots : 0;
-        global double* initial = initial_diagonal ? initial_diagonal + k * (long)num_point_slots : 0;
-        global double* out = d2 + k * (long)num_point_slots;
-        LANES(i, begin, end) {
-            if (initial && is_first) initial[i] = diagonal[i];
-            out[i] = damping(policy, c ? c[i] : 1.0, diagonal[i], initial ? initial[i] : 0.0,
-                             smallest, largest);
-        }
+// V = L L^T of point i, of n slots: xx, yx, yy, zx, zy, zz.
+static inline void load_point_block(global const REAL* roots, int n, int i, WIDE* v) {
+    const WIDE l00 = roots[i], l10 = roots[n + i], l11 = roots[2 * n + i];
+    const WIDE l20 = roots[3 * n + i], l21 = roots[4 * n + i], l22 = roots[5 * n + i];
+    v[0] = l00 * l00;
+    v[1] = l10 * l00;
+    v[2] = l10 * l10 + l11 * l11;
+    v[3] = l20 * l00;
+    v[4] = l20 * l10 + l21 * l11;
+    v[5] = l20 * l20 + l21 * l21 + l22 * l22;
+}
+
+static inline WIDE load_point_scale(global const WIDE* scale, int i) {
+#if SCALED_POINTS
+    return scale[i];
+#else
+    return 1;
+#endif
+}
+
+// D^2 of the points: 3 rows. scale is read where SCALED_POINTS is 1. Spare slots get some value too.
+// Writers: one point each.
+KERNEL void point_damping(WIDE smallest, WIDE largest, int num_point_slots,
+                          global const REAL* restrict roots, global const WIDE* restrict scale,
+                          global WIDE* restrict d2) {
+    const int n = num_point_slots;
+    const int begin = share_begin(n), end = share_end(n);
+    LANES(i, begin, end) {
+        WIDE v[6];
+        load_point_block(roots, n, i, v);
+        d2[i] = damping(load_point_scale(scale, i), v[0], smallest, largest);
+        d2[n + i] = damping(load_point_scale(scale, n + i), v[2], smallest, largest);
+        d2[2 * n + i] = damping(load_point_scale(scale, 2 * n + i), v[5], smallest, largest);
     }
 }
 
 // G of A = (packed lower triangle at matrix_offset) + lambda D^2, packed likewise; all 0 and counted
 // if A is not positive definite.
 // Writers: one block each; failures: one count a group.
-KERNEL void factor_image_blocks(double lambda, int num_blocks,
+KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
                                 global const int* restrict block_offset,
                                 global const int* restrict block_size,
                                 global const int* restrict matrix_offset,
-                                global const double* restrict matrices,
-                                global const double* restrict scale,
-                                global const double* restrict d2,
-                                global double* restrict factors,
+                                global const WIDE* restrict matrices,
+                                global const WIDE* restrict scale,
+                                global const WIDE* restrict d2,
+                                global WIDE* restrict factors,
                                 global int* restrict failures) {
     int failed = 0;
     const int end = share_end(num_blocks);
     LANES_UNVECTORIZED(block, share_begin(num_blocks), end) {
         const int size = block_size[block], offset = block_offset[block];
-        global const double* in = matrices + matrix_offset[block];
-        global double* out = factors + matrix_offset[block];
-        double a[MAX_TRIANGLE];
+        global const WIDE* in = matrices + matrix_offset[block];
+        global WIDE* out = factors + matrix_offset[block];
+        WIDE a[MAX_TRIANGLE];
         bool is_definite = true;
         // Row by row: L, then L^-1 in its place from the last row up would lose L; so first L.
         for (int row = 0; row < size; ++row) {
@@ -95,15 +105,15 @@ KERNEL void factor_image_blocks(double lambda, int num_blocks,
             const bool is_free = scale[offset + row] > 0;
             for (int k = 0; k <= row; ++k) {
                 const bool both_free = is_free && scale[offset + k] > 0;
-                double value = both_free ? in[at + k] : 0.0;
-                if (k == row) value = is_free ? value + lambda * d2[offset + row] : 1.0;
+                WIDE value = both_free ? in[at + k] : (WIDE)0;
+                if (k == row) value = is_free ? value + lambda * d2[offset + row] : (WIDE)1;
                 const int above = k * (k + 1) / 2;
                 for (int m = 0; m < k; ++m) value -= a[at + m] * a[above + m];
                 if (k < row) {
                     a[at + k] = value / a[above + k];
                 } else {
                     is_definite = is_definite && value > 0 && isfinite(value);
-                    a[at + k] = sqrt(is_definite ? value : 1.0);
+                    a[at + k] = sqrt(is_definite ? value : (WIDE)1);
                 }
             }
         }
@@ -111,7 +121,7 @@ KERNEL void factor_image_blocks(double lambda, int num_blocks,
         for (int column = 0; column < size; ++column) {
             for (int row = column; row < size; ++row) {
                 const int at = row * (row + 1) / 2;
-                double value = row == column ? 1.0 : 0.0;
+                WIDE value = row == column ? (WIDE)1 : (WIDE)0;
                 for (int m = column; m < row; ++m)
                     value -= a[at + m] * out[m * (m + 1) / 2 + column];
                 out[at + column] = value / a[at + row];
@@ -130,46 +140,56 @@ KERNEL void factor_image_blocks(double lambda, int num_blocks,
 #endif
 }
 
-// G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. V's 6 rows are
-// xx, yx, yy, zx, zy, zz. scale may be NULL. Spare slots have V = 0: their G is finite and unused.
+// G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. fixed_d2 is D^2 where
+// DAMPING is 2. Spare slots: G is finite or 0, and unused.
 // Writers: one point each; failures: one count a work-item.
-KERNEL void factor_point_blocks(double lambda, int num_point_slots,
-                                global const double* restrict v,
-                                global const double* restrict scale,
-                                global const double* restrict d2,
+KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int num_point_slots,
+                                global const REAL* restrict roots,
+                                global const WIDE* restrict scale,
+                                global const WIDE* restrict fixed_d2,
                                 global REAL* restrict factors, global int* restrict failures) {
     const int n = num_point_slots;
     const int begin = share_begin(n), end = share_end(n);
-    double failed = 0;
+    WIDE failed = 0;
     LANES(i, begin, end) {
-        const bool free0 = scale ? scale[i] > 0 : true;
-        const bool free1 = scale ? scale[n + i] > 0 : true;
-        const bool free2 = scale ? scale[2 * n + i] > 0 : true;
-        const double a00 = free0 ? v[i] + lambda * d2[i] : 1.0;
-        const double a10 = free0 && free1 ? v[n + i] : 0.0;
-        const double a11 = free1 ? v[2 * n + i] + lambda * d2[n + i] : 1.0;
-        const double a20 = free0 && free2 ? v[3 * n + i] : 0.0;
-        const double a21 = free1 && free2 ? v[4 * n + i] : 0.0;
-        const double a22 = free2 ? v[5 * n + i] + lambda * d2[2 * n + i] : 1.0;
-        const double g00 = 1 / sqrt(a00);
-        const double l10 = a10 * g00, l20 = a20 * g00;
-        const double p1 = a11 - l10 * l10;
-        const double g11 = 1 / sqrt(p1);
-        const double l21 = (a21 - l20 * l10) * g11;
-        const double p2 = a22 - l20 * l20 - l21 * l21;
-        const double g22 = 1 / sqrt(p2);
-        const double g10 = -g11 * l10 * g00;
-        const double g21 = -g22 * l21 * g11;
-        const double g20 = -g22 * (l20 * g00 + l21 * g10);
+        WIDE v[6], d2[3];
+        load_point_block(roots, n, i, v);
+        const WIDE scales[3] = {load_point_scale(scale, i), load_point_scale(scale, n + i),
+                                load_point_scale(scale, 2 * n + i)};
+#if DAMPING == 2
+        d2[0] = fixed_d2[i];
+        d2[1] = fixed_d2[n + i];
+        d2[2] = fixed_d2[2 * n + i];
+#else
+        d2[0] = damping(scales[0], v[0], smallest, largest);
+        d2[1] = damping(scales[1], v[2], smallest, largest);
+        d2[2] = damping(scales[2], v[5], smallest, largest);
+#endif
+        const bool free0 = scales[0] > 0, free1 = scales[1] > 0, free2 = scales[2] > 0;
+        const WIDE a00 = free0 ? v[0] + lambda * d2[0] : (WIDE)1;
+        const WIDE a10 = free0 && free1 ? v[1] : (WIDE)0;
+        const WIDE a11 = free1 ? v[2] + lambda * d2[1] : (WIDE)1;
+        const WIDE a20 = free0 && free2 ? v[3] : (WIDE)0;
+        const WIDE a21 = free1 && free2 ? v[4] : (WIDE)0;
+        const WIDE a22 = free2 ? v[5] + lambda * d2[2] : (WIDE)1;
+        // A = L D L^T with a unit lower triangle L; G = D^-1/2 L^-1.
+        const WIDE inverse0 = 1 / a00;
+        const WIDE l10 = a10 * inverse0, l20 = a20 * inverse0;
+        const WIDE p1 = a11 - l10 * a10;
+        const WIDE l21 = (a21 - l20 * a10) / p1;
+        const WIDE p2 = a22 - l20 * a20 - l21 * l21 * p1;
+        const REAL g00 = 1 / sqrt((REAL)a00), g11 = 1 / sqrt((REAL)p1), g22 = 1 / sqrt((REAL)p2);
+        const REAL g10 = -(REAL)l10 * g11, g21 = -(REAL)l21 * g22;
+        const REAL g20 = (REAL)(l21 * l10 - l20) * g22;
         // False for NaN and for infinities too.
         const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
-        failed += is_definite ? 0.0 : 1.0;
-        factors[i] = is_definite && free0 ? (REAL)g00 : 0;
-        factors[n + i] = is_definite && free0 && free1 ? (REAL)g10 : 0;
-        factors[2 * n + i] = is_definite && free1 ? (REAL)g11 : 0;
-        factors[3 * n + i] = is_definite && free0 && free2 ? (REAL)g20 : 0;
-        factors[4 * n + i] = is_definite && free1 && free2 ? (REAL)g21 : 0;
-        factors[5 * n + i] = is_definite && free2 ? (REAL)g22 : 0;
+        failed += is_definite ? (WIDE)0 : (WIDE)1;
+        factors[i] = is_definite && free0 ? g00 : (REAL)0;
+        factors[n + i] = is_definite && free0 && free1 ? g10 : (REAL)0;
+        factors[2 * n + i] = is_definite && free1 ? g11 : (REAL)0;
+        factors[3 * n + i] = is_definite && free0 && free2 ? g20 : (REAL)0;
+        factors[4 * n + i] = is_definite && free1 && free2 ? g21 : (REAL)0;
+        factors[5 * n + i] = is_definite && free2 ? g22 : (REAL)0;
     }
 #if LANE_LOOP
     failures[get_group_id(0)] = (int)failed;
@@ -183,38 +203,38 @@ KERNEL void factor_point_blocks(double lambda, int num_point_slots,
 KERNEL void apply_image_factors(int num_blocks, global const int* restrict block_offset,
                                 global const int* restrict block_size,
                                 global const int* restrict matrix_offset,
-                                global const double* restrict factors,
-                                global const double* restrict r, global double* restrict z) {
+                                global const WIDE* restrict factors,
+                                global const WIDE* restrict r, global WIDE* restrict z) {
     const int end = share_end(num_blocks);
     LANES_UNVECTORIZED(block, share_begin(num_blocks), end) {
         const int size = block_size[block], offset = block_offset[block];
-        global const double* g = factors + matrix_offset[block];
-        double b[MAX_BLOCK];
+        global const WIDE* g = factors + matrix_offset[block];
+        WIDE b[MAX_BLOCK];
         for (int row = 0; row < size; ++row) {
-            double sum = 0;
+            WIDE sum = 0;
             for (int k = 0; k <= row; ++k) sum += g[row * (row + 1) / 2 + k] * r[offset + k];
             b[row] = sum;
         }
         for (int k = 0; k < size; ++k) {
-            double sum = 0;
+            WIDE sum = 0;
             for (int row = k; row < size; ++row) sum += g[row * (row + 1) / 2 + k] * b[row];
             z[offset + k] = sum;
         }
     }
 }
 
-// z = G^T G r, point by point; r and z are 3 rows of doubles.
+// z = G^T G r, point by point; r and z are 3 rows of WIDE.
 // Writers: one point each.
 KERNEL void apply_point_factors(int num_point_slots, global const REAL* restrict factors,
-                                global const double* restrict r, global double* restrict z) {
+                                global const WIDE* restrict r, global WIDE* restrict z) {
     const int n = num_point_slots;
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) {
-        const double g00 = factors[i], g10 = factors[n + i], g11 = factors[2 * n + i];
-        const double g20 = factors[3 * n + i], g21 = factors[4 * n + i], g22 = factors[5 * n + i];
-        const double r0 = r[i], r1 = r[n + i], r2 = r[2 * n + i];
-        const double b0 = g00 * r0, b1 = g10 * r0 + g11 * r1;
-        const double b2 = g20 * r0 + g21 * r1 + g22 * r2;
+        const WIDE g00 = factors[i], g10 = factors[n + i], g11 = factors[2 * n + i];
+        const WIDE g20 = factors[3 * n + i], g21 = factors[4 * n + i], g22 = factors[5 * n + i];
+        const WIDE r0 = r[i], r1 = r[n + i], r2 = r[2 * n + i];
+        const WIDE b0 = g00 * r0, b1 = g10 * r0 + g11 * r1;
+        const WIDE b2 = g20 * r0 + g21 * r1 + g22 * r2;
         z[i] = g00 * b0 + g10 * b1 + g20 * b2;
         z[n + i] = g11 * b1 + g21 * b2;
         z[2 * n + i] = g22 * b2;

@@ -4,22 +4,19 @@
 // a camera, points 3 rows. Writers: one image, camera or element each.
 #define LANE_WIDTH 8
 #include "lanes.clh"
+#include "tiles.clh"
 
-#ifndef MAX_CAMERA_PARAMS
-#define MAX_CAMERA_PARAMS 8
-#endif
-#define IMAGE_RECORD (12 + MAX_CAMERA_PARAMS)
 
 // What kernels over observations read of an image: R row-major, t, intrinsics.
-KERNEL void image_records(int num_images, global const double* restrict poses,
+KERNEL void image_records(int num_images, global const WIDE* restrict poses,
                           global const int* restrict image_camera,
-                          global const double* restrict camera_params,
-                          global double* restrict records) {
+                          global const WIDE* restrict camera_params,
+                          global WIDE* restrict records) {
     const int end = share_end(num_images);
     LANES(i, share_begin(num_images), end) {
-        global const double* pose = poses + 7 * i;
-        const double w = pose[0], x = pose[1], y = pose[2], z = pose[3];
-        global double* out = records + IMAGE_RECORD * i;
+        global const WIDE* pose = poses + 7 * i;
+        const WIDE w = pose[0], x = pose[1], y = pose[2], z = pose[3];
+        global WIDE* out = records + IMAGE_RECORD * i;
         out[0] = 1 - 2 * (y * y + z * z);
         out[1] = 2 * (x * y - w * z);
         out[2] = 2 * (x * z + w * y);
@@ -32,7 +29,7 @@ KERNEL void image_records(int num_images, global const double* restrict poses,
         out[9] = pose[4];
         out[10] = pose[5];
         out[11] = pose[6];
-        global const double* params = camera_params + MAX_CAMERA_PARAMS * image_camera[i];
+        global const WIDE* params = camera_params + MAX_CAMERA_PARAMS * image_camera[i];
 #pragma unroll
         for (int k = 0; k < MAX_CAMERA_PARAMS; ++k) out[12 + k] = params[k];
     }
@@ -40,36 +37,36 @@ KERNEL void image_records(int num_images, global const double* restrict poses,
 
 // Constant parameters have a step of 0.
 KERNEL void update_images(int num_images, global const int* restrict pose_offsets,
-                          global const double* restrict step, global const double* restrict poses,
-                          global double* restrict updated) {
+                          global const WIDE* restrict step, global const WIDE* restrict poses,
+                          global WIDE* restrict updated) {
     const int end = share_end(num_images);
     LANES(i, share_begin(num_images), end) {
-        global const double* d = step + pose_offsets[i];
-        global const double* pose = poses + 7 * i;
-        global double* out = updated + 7 * i;
-        const double wx = d[0], wy = d[1], wz = d[2];
-        const double angle2 = wx * wx + wy * wy + wz * wz;
-        const double angle = sqrt(angle2);
+        global const WIDE* d = step + pose_offsets[i];
+        global const WIDE* pose = poses + 7 * i;
+        global WIDE* out = updated + 7 * i;
+        const WIDE wx = d[0], wy = d[1], wz = d[2];
+        const WIDE angle2 = wx * wx + wy * wy + wz * wz;
+        const WIDE angle = sqrt(angle2);
         // Quaternion (c, s w) of exp(w); the Taylor series where sin(a / 2) / a loses digits.
-        const double s = angle < 1e-4 ? 0.5 - angle2 / 48 : sin(0.5 * angle) / angle;
-        const double c = cos(0.5 * angle);
-        const double ax = s * wx, ay = s * wy, az = s * wz;
-        const double bw = pose[0], bx = pose[1], by = pose[2], bz = pose[3];
-        const double qw = c * bw - ax * bx - ay * by - az * bz;
-        const double qx = c * bx + ax * bw + ay * bz - az * by;
-        const double qy = c * by - ax * bz + ay * bw + az * bx;
-        const double qz = c * bz + ax * by - ay * bx + az * bw;
-        const double norm = 1 / sqrt(qw * qw + qx * qx + qy * qy + qz * qz);
+        const WIDE s = angle < 1e-4 ? 0.5 - angle2 / 48 : sin(0.5 * angle) / angle;
+        const WIDE c = cos(0.5 * angle);
+        const WIDE ax = s * wx, ay = s * wy, az = s * wz;
+        const WIDE bw = pose[0], bx = pose[1], by = pose[2], bz = pose[3];
+        const WIDE qw = c * bw - ax * bx - ay * by - az * bz;
+        const WIDE qx = c * bx + ax * bw + ay * bz - az * by;
+        const WIDE qy = c * by - ax * bz + ay * bw + az * bx;
+        const WIDE qz = c * bz + ax * by - ay * bx + az * bw;
+        const WIDE norm = 1 / sqrt(qw * qw + qx * qx + qy * qy + qz * qz);
         // A constant rotation keeps its bits.
         out[0] = angle2 > 0 ? norm * qw : bw;
         out[1] = angle2 > 0 ? norm * qx : bx;
         out[2] = angle2 > 0 ? norm * qy : by;
         out[3] = angle2 > 0 ? norm * qz : bz;
-        const double tx = pose[4], ty = pose[5], tz = pose[6];
+        const WIDE tx = pose[4], ty = pose[5], tz = pose[6];
         // exp(w) t = t + 2 c (a x t) + 2 a x (a x t) with a = (ax, ay, az).
-        const double ux = 2 * (ay * tz - az * ty);
-        const double uy = 2 * (az * tx - ax * tz);
-        const double uz = 2 * (ax * ty - ay * tx);
+        const WIDE ux = 2 * (ay * tz - az * ty);
+        const WIDE uy = 2 * (az * tx - ax * tz);
+        const WIDE uz = 2 * (ax * ty - ay * tx);
         out[4] = tx + c * ux + (ay * uz - az * uy) + d[3];
         out[5] = ty + c * uy + (az * ux - ax * uz) + d[4];
         out[6] = tz + c * uz + (ax * uy - ay * ux) + d[5];
@@ -78,9 +75,9 @@ KERNEL void update_images(int num_images, global const int* restrict pose_offset
 
 KERNEL void update_cameras(int num_cameras, global const int* restrict intrinsics_offsets,
                            global const int* restrict num_params,
-                           global const double* restrict step,
-                           global const double* restrict params,
-                           global double* restrict updated) {
+                           global const WIDE* restrict step,
+                           global const WIDE* restrict params,
+                           global WIDE* restrict updated) {
     const int end = share_end(num_cameras);
     LANES(i, share_begin(num_cameras), end) {
 #pragma unroll
@@ -93,9 +90,9 @@ KERNEL void update_cameras(int num_cameras, global const int* restrict intrinsic
 }
 
 // updated = points + step, 3 rows as one vector of n.
-KERNEL void update_points(int n, global const double* restrict step,
-                          global const double* restrict points,
-                          global double* restrict updated) {
+KERNEL void update_points(int n, global const WIDE* restrict step,
+                          global const WIDE* restrict points,
+                          global WIDE* restrict updated) {
     const int begin = share_begin(n), end = share_end(n);
     LANES(i, begin, end) updated[i] = points[i] + step[i];
 }

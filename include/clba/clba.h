@@ -247,9 +247,13 @@ CLBA_API clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, 
 /* ---- Solving --------------------------------------------------------------------------------- */
 
 enum {
-    CLBA_LINEAR_SOLVER_PCG_SCHUR = 1,   /* implicit Schur complement, never formed */
-    CLBA_LINEAR_SOLVER_PCG_HESSIAN = 2, /* the full damped Hessian (Tong et al. 2013, eq. 7) */
-    CLBA_LINEAR_SOLVER_DIRECT_SCHUR = 3 /* sparse Cholesky on the host; plug-in clba_cholmod */
+    CLBA_LINEAR_SOLVER_PCG_SCHUR = 1,      /* implicit Schur complement, never formed */
+    CLBA_LINEAR_SOLVER_PCG_HESSIAN = 2,    /* the full damped Hessian (Tong et al. 2013, eq. 7) */
+    CLBA_LINEAR_SOLVER_DIRECT_SCHUR = 3,   /* sparse Cholesky on the host; plug-in clba_cholmod */
+    CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR = 4, /* Schur complement formed on the device, block-sparse
+                                              Cholesky on the host; needs no plug-in */
+    CLBA_LINEAR_SOLVER_AUTO =
+        5 /* pcg_schur for as long as it is the cheaper, then explicit_schur */
 };
 enum {
     CLBA_PRECONDITIONER_DEFAULT = 0, /* schur_jacobi for pcg_schur, block_jacobi for pcg_hessian */
@@ -268,10 +272,17 @@ enum {
     CLBA_PRECISION_MIXED = 2   /* fp32 Jacobian and matrix products; state, residuals, cost,
                                   gradient and long sums in fp64 */
 };
+/* What the device keeps of the Jacobian for the products of conjugate gradients. */
+enum {
+    CLBA_JACOBIAN_DEFAULT = 0,    /* recomputed */
+    CLBA_JACOBIAN_RECOMPUTED = 1, /* 3 numbers an observation, from which its blocks are computed */
+    CLBA_JACOBIAN_STORED = 2      /* the blocks: 2 C + 6 numbers an observation (24 for snavely) */
+};
 CLBA_API const char* clba_linear_solver_name(int32_t linear_solver); /* NULL: no such value */
 CLBA_API const char* clba_preconditioner_name(int32_t preconditioner);
 CLBA_API const char* clba_damping_name(int32_t damping);
 CLBA_API const char* clba_precision_name(int32_t precision);
+CLBA_API const char* clba_jacobian_name(int32_t jacobian);
 
 /* One row of the iteration log. Iteration 0 describes the initial point. */
 typedef struct clba_iteration {
@@ -298,7 +309,7 @@ typedef int32_t (*clba_iteration_fn)(const clba_iteration* row, void* user_data)
 
 typedef struct clba_solver_options {
     uint32_t struct_size;
-    int32_t linear_solver;                     /* PCG_SCHUR */
+    int32_t linear_solver;                     /* AUTO */
     int32_t preconditioner;                    /* DEFAULT */
     int32_t damping;                           /* MARQUARDT */
     int32_t precision;                         /* MIXED */
@@ -306,7 +317,7 @@ typedef struct clba_solver_options {
     int32_t max_linear_solver_iterations;      /* > 0; 500 */
     int32_t min_linear_solver_iterations;      /* >= 0; 0 */
     int32_t max_num_consecutive_invalid_steps; /* >= 0; 5 */
-    int32_t reserved;                          /* 0 */
+    int32_t jacobian;                          /* DEFAULT */
     double initial_trust_region_radius;        /* > 0; 1e4 */
     double max_trust_region_radius;            /* > 0; 1e16 */
     double min_trust_region_radius;            /* > 0; 1e-32 */
@@ -392,6 +403,15 @@ typedef struct clba_summary {
     uint64_t peak_device_bytes;
     char device[128];
     char message[256]; /* why it ended, for people */
+    /* As asked for; linear_solver, preconditioner and precision above are those used last. */
+    int32_t given_linear_solver;
+    int32_t given_preconditioner;
+    int32_t given_precision;
+    int32_t jacobian;             /* the one used */
+    double factorization_seconds; /* of explicit_schur and direct_schur: on the host */
+    double host_seconds; /* what is left of total_seconds without kernels, their building and
+                            factorizations; 0 where the queue has no profiling */
+    char choice[256];    /* why auto chose as it did, for people */
 } clba_summary;
 
 /* Minimises the cost from the problem's state and leaves it at the best state found, however the

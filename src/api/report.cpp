@@ -52,7 +52,7 @@ const char* reason_name(int32_t reason) {
 }
 
 const char* preconditioner_name(const clba_summary& summary) {
-    if (summary.linear_solver == CLBA_LINEAR_SOLVER_DIRECT_SCHUR) return "none";
+    if (summary.preconditioner == CLBA_PRECONDITIONER_DEFAULT) return "none";
     return clba_preconditioner_name(summary.preconditioner);
 }
 
@@ -109,10 +109,17 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
     append(text, "Solver summary (clba %d.%d.%d)\n\n", CLBA_VERSION_MAJOR, CLBA_VERSION_MINOR,
            CLBA_VERSION_PATCH);
     append(text, "Device                       %s\n", s.device);
-    append(text, "Linear solver                %s\n", clba_linear_solver_name(s.linear_solver));
-    append(text, "Preconditioner               %s\n", preconditioner_name(s));
+    append(text, "                             %-18s %s\n", "Given", "Used");
+    append(text, "Linear solver                %-18s %s\n",
+           clba_linear_solver_name(s.given_linear_solver),
+           clba_linear_solver_name(s.linear_solver));
+    append(text, "Preconditioner               %-18s %s\n",
+           clba_preconditioner_name(s.given_preconditioner), preconditioner_name(s));
+    append(text, "Precision                    %-18s %s\n", clba_precision_name(s.given_precision),
+           clba_precision_name(s.precision));
+    if (s.choice[0]) append(text, "Chosen because               %s\n", s.choice);
+    append(text, "Jacobian                     %s\n", clba_jacobian_name(s.jacobian));
     append(text, "Damping                      %s\n", clba_damping_name(s.damping));
-    append(text, "Precision                    %s\n", clba_precision_name(s.precision));
     append(text, "Forcing term                 %g\n\n", s.eta);
 
     append(text, "Cost\n");
@@ -144,6 +151,14 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
     if (device_total > 0) {
         append(text, "\nTime on the device                seconds    share\n");
         append_times(text, device_times(s), device_total);
+        append(text, "\nShare of the wall time\n");
+        const double total = s.total_seconds - s.build_seconds;
+        const auto share = [&](const char* label, double seconds) {
+            append(text, "  %-26s %10.1f %%\n", label, total > 0 ? 100 * seconds / total : 0.0);
+        };
+        share("kernels", device_total);
+        share("factorization on the host", s.factorization_seconds);
+        share("the rest of the host", s.host_seconds);
     }
 
     append(text, "\nPeak device memory           %.1f MiB\n",
@@ -162,6 +177,11 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     json.add("preconditioner", preconditioner_name(s));
     json.add("damping", clba_damping_name(s.damping));
     json.add("precision", clba_precision_name(s.precision));
+    json.add("given_linear_solver", clba_linear_solver_name(s.given_linear_solver));
+    json.add("given_preconditioner", clba_preconditioner_name(s.given_preconditioner));
+    json.add("given_precision", clba_precision_name(s.given_precision));
+    json.add("choice", s.choice);
+    json.add("jacobian", clba_jacobian_name(s.jacobian));
     json.add("eta", s.eta);
     json.add("termination", termination_name(s.termination));
     json.add("reason", reason_name(s.reason));
@@ -184,6 +204,8 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     json.add("total_seconds", s.total_seconds);
     for (const NamedSeconds& time : wall_times(s)) json.add(time.field, time.seconds);
     for (const NamedSeconds& time : device_times(s)) json.add(time.field, time.seconds);
+    json.add("factorization_seconds", s.factorization_seconds);
+    json.add("host_seconds", s.host_seconds);
     json.begin_array("iterations");
     for (const clba_iteration& row : rows) {
         json.begin_object();

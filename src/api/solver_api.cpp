@@ -2,6 +2,7 @@
 // Solving, results, and evaluation for the caller's own loop.
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "api/handles.hpp"
 #include "api/report.hpp"
@@ -17,7 +18,7 @@ clba_solver_options default_solver_options() {
     const MinimizerOptions defaults;
     clba_solver_options options{};
     options.struct_size = sizeof options;
-    options.linear_solver = CLBA_LINEAR_SOLVER_PCG_SCHUR;
+    options.linear_solver = CLBA_LINEAR_SOLVER_AUTO;
     options.preconditioner = CLBA_PRECONDITIONER_DEFAULT;
     options.damping = CLBA_DAMPING_MARQUARDT;
     options.precision = CLBA_PRECISION_MIXED;
@@ -55,9 +56,11 @@ void require_above_zero(const char* field, double value) {
 Preconditioner used_preconditioner(const clba_solver_options& given) {
     switch (given.linear_solver) {
         case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
+        case CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR:
             require(given.preconditioner == CLBA_PRECONDITIONER_DEFAULT,
-                    "preconditioner = ", clba_preconditioner_name(given.preconditioner),
-                    ", but direct_schur takes none; leave it at its default");
+                    "preconditioner = ", clba_preconditioner_name(given.preconditioner), ", but ",
+                    clba_linear_solver_name(given.linear_solver),
+                    " takes none; leave it at its default");
             return Preconditioner::none;
         case CLBA_LINEAR_SOLVER_PCG_HESSIAN:
             require(given.preconditioner != CLBA_PRECONDITIONER_SCHUR_JACOBI,
@@ -89,7 +92,7 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     require_named(clba_preconditioner_name(given.preconditioner), "preconditioner",
                   given.preconditioner);
     require_named(clba_damping_name(given.damping), "damping", given.damping);
-    require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
+    require_named(clba_jacobian_name(given.jacobian), "jacobian", given.jacobian);
     require_at_least("max_num_iterations", given.max_num_iterations, 0);
     require_at_least("max_linear_solver_iterations", given.max_linear_solver_iterations, 1);
     require_at_least("min_linear_solver_iterations", given.min_linear_solver_iterations, 0);
@@ -118,6 +121,8 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     options.linear_solver.min_iterations = given.min_linear_solver_iterations;
     options.linear_solver.max_iterations = given.max_linear_solver_iterations;
     options.linear_solver.eta = given.eta > 0 ? given.eta : default_eta(options.linear_solver);
+    options.jacobian =
+        given.jacobian == CLBA_JACOBIAN_STORED ? JacobianForm::stored : JacobianForm::recomputed;
     options.damping.policy = static_cast<Damping>(given.damping);
     options.damping.min_diagonal = given.min_damping_diagonal;
     options.damping.max_diagonal = given.max_damping_diagonal;
@@ -153,7 +158,7 @@ clba_iteration public_row(const IterationRow& row) {
     return out;
 }
 
-clba_summary public_summary(const Summary& summary) {
+clba_summary public_summary(const Summary& summary, const clba_solver_options& given) {
     clba_summary out{};
     out.struct_size = sizeof out;
     out.termination = static_cast<int32_t>(summary.termination);
@@ -196,12 +201,23 @@ clba_summary public_summary(const Summary& summary) {
     out.peak_device_bytes = summary.peak_device_bytes;
     copy_text(summary.device, out.device);
     copy_text(summary.message, out.message);
+    out.given_linear_solver = given.linear_solver;
+    out.given_preconditioner = given.preconditioner;
+    out.given_precision = given.precision;
+    out.jacobian = static_cast<int32_t>(summary.jacobian);
+    out.factorization_seconds = summary.factorization_seconds;
+    const double device_seconds =
+        std::accumulate(summary.step_seconds.begin(), summary.step_seconds.end(), 0.0);
+    if (device_seconds > 0)
+        out.host_seconds = summary.total_seconds - summary.build_seconds -
+                           summary.factorization_seconds - device_seconds;
+    copy_text(summary.choice, out.choice);
     return out;
 }
 
-std::unique_ptr<clba_result> make_result(const Summary& summary) {
+std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solver_options& given) {
     auto result = std::make_unique<clba_result>();
-    result->summary = public_summary(summary);
+    result->summary = public_summary(summary, given);
     for (const IterationRow& row : summary.rows) result->rows.push_back(public_row(row));
     result->report = report_text(result->summary, result->rows);
     result->json = report_json(result->summary, result->rows);
@@ -230,7 +246,7 @@ void with_mirror(clba_problem* handle, clba_context* context, Precision precisio
 // One array of 2 rows of REAL in slots, from or to observations x 2 of the caller's.
 template <class Real>
 void upload_rows(const double* values, DeviceProblem& device, std::vector<Buffer>& slots) {
-    device.fill_slots<Real>(slots, StoredJacobian::num_product_rows,
+    device.fill_slots<Real>(slots, Jacobian::num_product_rows,
                             [&](int64_t observation, int, auto&& slot) {
                                 slot(0) = static_cast<Real>(values[2 * observation]);
                                 slot(1) = static_cast<Real>(values[2 * observation + 1]);
@@ -239,7 +255,7 @@ void upload_rows(const double* values, DeviceProblem& device, std::vector<Buffer
 
 template <class Real>
 void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots, double* values) {
-    device.visit_slots<Real>(slots, StoredJacobian::num_product_rows,
+    device.visit_slots<Real>(slots, Jacobian::num_product_rows,
                              [&](int64_t observation, int, auto&& slot) {
                                  values[2 * observation] = slot(0);
                                  values[2 * observation + 1] = slot(1);
@@ -251,8 +267,7 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     Evaluator evaluator(device, problem);
     std::vector<Buffer> residuals;
     if (request.residuals)
-        residuals =
-            device.make_slot_rows(StoredJacobian::num_product_rows, sizeof(double), "residuals");
+        residuals = device.make_slot_rows(Jacobian::num_product_rows, sizeof(double), "residuals");
     const CostEvaluation evaluation =
         evaluator.cost(device.state, request.residuals ? &residuals : nullptr);
     request.cost = evaluation.cost;
@@ -266,11 +281,13 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     const bool wants_jacobian = request.jacobian_images || request.jacobian_points;
     reference::Jacobian jacobian;
     if (request.gradient || wants_jacobian) {
-        NormalEquations equations(device, DampingOptions());
+        NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
         evaluator.linearize(equations);
         if (request.gradient) {
+            Vector full = device.make_vector("the gradient");
+            equations.get_gradient(full);
             gradient.resize(static_cast<size_t>(device.layout().num_parameters(problem)));
-            device.download(equations.gradient, gradient.data());
+            device.download(full, gradient.data());
         }
         if (wants_jacobian) {
             jacobian = empty_jacobian(problem, device.layout());
@@ -298,7 +315,7 @@ void mask_constants(DeviceProblem& device, Vector& vector) {
 std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int32_t product,
                              double lambda, const double* x) {
     Evaluator evaluator(device, problem);
-    NormalEquations equations(device, DampingOptions());
+    NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
     evaluator.linearize(equations);
     const bool is_double = device.precision() == Precision::double_precision;
     std::vector<Buffer>& slots = equations.jacobian.product();
@@ -314,11 +331,10 @@ std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int3
                   : download_rows<float>(device, slots, y.data());
     } else if (product == CLBA_PRODUCT_JTY) {
         is_double ? upload_rows<double>(x, device, slots) : upload_rows<float>(x, device, slots);
-        equations.jacobian.multiply_transposed(vector);
+        equations.jacobian.add_transposed(vector);
         mask_constants(device, vector);
         device.download(vector, y.data());
     } else {
-        equations.update_blocks();
         const int64_t failures =
             equations.factor_points(lambda) + equations.factor_images(lambda, equations.u());
         require(failures == 0, failures,
@@ -347,6 +363,10 @@ const char* clba_linear_solver_name(int32_t linear_solver) {
             return "pcg_hessian";
         case CLBA_LINEAR_SOLVER_DIRECT_SCHUR:
             return "direct_schur";
+        case CLBA_LINEAR_SOLVER_EXPLICIT_SCHUR:
+            return "explicit_schur";
+        case CLBA_LINEAR_SOLVER_AUTO:
+            return "auto";
         default:
             return nullptr;
     }
@@ -389,6 +409,19 @@ const char* clba_precision_name(int32_t precision) {
     }
 }
 
+const char* clba_jacobian_name(int32_t jacobian) {
+    switch (jacobian) {
+        case CLBA_JACOBIAN_DEFAULT:
+            return "default";
+        case CLBA_JACOBIAN_RECOMPUTED:
+            return "recomputed";
+        case CLBA_JACOBIAN_STORED:
+            return "stored";
+        default:
+            return nullptr;
+    }
+}
+
 clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size) {
     return guarded([&] { init_struct(options, struct_size, default_solver_options(), "options"); });
 }
@@ -410,7 +443,7 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
         try {
             const Summary summary =
                 solve(problem->problem, context->context, internal, precision, problem->mirror);
-            if (result) *result = make_result(summary).release();
+            if (result) *result = make_result(summary, given).release();
         } catch (...) {
             problem->mirror.reset();
             throw;

@@ -155,6 +155,8 @@ void add_solver_options(CLI::App& command, SolveArguments& arguments) {
                "of the conjugate gradients");
     add_choice(command, "--precision", options.precision, clba_precision_name,
                "mixed: fp32 matrix products, all else in fp64");
+    add_choice(command, "--jacobian", options.jacobian, clba_jacobian_name,
+               "what the device keeps of the Jacobian");
     add_choice(command, "--damping", options.damping, clba_damping_name,
                "diagonal that the damping multiplies");
     add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");

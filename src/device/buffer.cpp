@@ -68,8 +68,9 @@ void Buffer::read(void* data, uint64_t bytes) const {
 
 void* Buffer::map(Access access) const {
     cl_int error = CL_SUCCESS;
-    const cl_map_flags flags =
-        access == Access::read ? CL_MAP_READ : CL_MAP_WRITE_INVALIDATE_REGION;
+    const cl_map_flags flags = access == Access::read    ? CL_MAP_READ
+                               : access == Access::write ? CL_MAP_WRITE_INVALIDATE_REGION
+                                                         : CL_MAP_READ | CL_MAP_WRITE;
     void* address =
         opencl().clEnqueueMapBuffer(queue_->handle(), handle_, CL_TRUE, flags, 0,
                                     std::max<uint64_t>(bytes_, 1), 0, nullptr, nullptr, &error);

@@ -48,7 +48,7 @@ public:
 
     // Maps the whole buffer for the lifetime of the result. Where the device shares the host's
     // memory nothing is copied.
-    enum class Access { read, write };
+    enum class Access { read, write, update };
     template <class Value>
     class Mapping;
     template <class Value>
@@ -58,6 +58,10 @@ public:
     template <class Value>
     Mapping<Value> map_write() {
         return Mapping<Value>(*this, map(Access::write));
+    }
+    template <class Value>
+    Mapping<Value> map_update() {  // to read and write
+        return Mapping<Value>(*this, map(Access::update));
     }
 
 private:

@@ -23,10 +23,12 @@ Tuning tuning_for(const DeviceInfo& device) {
     tuning.vectorize = !is_oclgrind;
     if (tuning.lane_loop) {
         tuning.vector_groups = device.compute_units * 4;
+        tuning.tile_groups = device.compute_units * 8;
     } else {
         tuning.work_group_size =
             static_cast<int>(std::min<uint64_t>(128, device.max_work_group_size));
         tuning.vector_groups = device.compute_units * 8;
+        tuning.tile_groups = device.compute_units * 8;
         tuning.points_per_tile = 512;
     }
     return tuning;

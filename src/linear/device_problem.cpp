@@ -53,6 +53,16 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
         "image records");
 }
 
+const std::string& DeviceProblem::camera_model_path(int32_t model) {
+    static const std::vector<std::string> paths = [] {
+        std::vector<std::string> made;
+        for (const CameraModel& camera_model : camera_models)
+            made.push_back(text("camera_models/", camera_model.name, ".clh"));
+        return made;
+    }();
+    return paths[static_cast<size_t>(model)];
+}
+
 template <class Value>
 Buffer DeviceProblem::upload_values(const std::vector<Value>& values, const char* label) {
     Buffer buffer(queue_, values.size() * sizeof(Value), label);
@@ -88,6 +98,14 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         DeviceChunk device_chunk;
         device_chunk.num_tiles = chunk.num_tiles();
         device_chunk.num_point_slots = chunk.num_point_slots;
+        if (!chunks_.empty())
+            device_chunk.first_tile = chunks_.back().first_tile + chunks_.back().num_tiles;
+        for (int32_t tile = 0; tile < chunk.num_tiles(); ++tile) {
+            const int32_t end =
+                tile + 1 < chunk.num_tiles() ? chunk.tile_points[tile + 1] : chunk.num_point_slots;
+            device_chunk.max_tile_slots =
+                std::max(device_chunk.max_tile_slots, end - chunk.tile_points[tile]);
+        }
         device_chunk.tile_points = upload_values(chunk.tile_points, "tiles");
         device_chunk.tile_num_points = upload_values(chunk.tile_num_points, "tiles");
         if (has_point_scales(problem)) {
@@ -160,12 +178,6 @@ State DeviceProblem::make_state() {
                "camera parameters");
     made.points = make_point_rows(3, sizeof(double), "points");
     return made;
-}
-
-int32_t DeviceProblem::max_tiles_per_chunk() const {
-    int32_t most = 0;
-    for (const DeviceChunk& chunk : chunks_) most = std::max(most, chunk.num_tiles);
-    return most;
 }
 
 std::vector<Buffer> DeviceProblem::make_point_rows(int rows, size_t value_bytes,
@@ -278,19 +290,19 @@ void DeviceProblem::download(const Vector& vector, double* values) const {
 }
 
 void DeviceProblem::update(const Vector& step) {
-    const auto launch = [&](const char* name, int64_t rows, const auto&... arguments) {
+    const auto launch_rows = [&](const char* name, int64_t rows, const auto&... arguments) {
         queue_.launch(
             Step::vector,
             queue_.kernel("state.cl", name, text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
             std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
-    launch("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
-           trial.poses);
-    launch("update_cameras", num_cameras_, num_cameras_, camera_offsets_, camera_num_params_,
-           step.f, state.camera_params, trial.camera_params);
-    for (size_t c = 0; c < chunks_.size(); ++c) {
+    launch_rows("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
+                trial.poses);
+    launch_rows("update_cameras", num_cameras_, num_cameras_, camera_offsets_, camera_num_params_,
+                step.f, state.camera_params, trial.camera_params);
+    for (size_t c = 0; c < step.e.size(); ++c) {
         const int32_t n = 3 * chunks_[c].num_point_slots;
-        launch("update_points", n, n, step.e[c], state.points[c], trial.points[c]);
+        launch_rows("update_points", n, n, step.e[c], state.points[c], trial.points[c]);
     }
 }
 

@@ -16,12 +16,22 @@ namespace clba {
 
 enum class Precision : int { double_precision = 1, mixed = 2 };
 
-// REAL of the kernels: what the Jacobian is stored in and products are computed in.
+// REAL of the kernels: what the Jacobian is kept in and products are computed in.
 inline const char* real_type(Precision precision) {
     return precision == Precision::double_precision ? "double" : "float";
 }
 inline size_t real_bytes(Precision precision) {
     return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+}
+// WIDE of the kernels: states, residuals, image vectors and long sums.
+inline const char* wide_type(Precision) {
+    return "double";
+}
+inline size_t wide_bytes(Precision) {
+    return sizeof(double);
+}
+inline std::string precision_defines(Precision precision) {
+    return std::string("-DREAL=") + real_type(precision) + " -DWIDE=" + wide_type(precision);
 }
 
 // A segment (problem/visibility_tiles.hpp) on the device.
@@ -37,6 +47,8 @@ struct DeviceSegment {
 
 struct DeviceChunk {
     int32_t num_tiles = 0, num_point_slots = 0;
+    int32_t first_tile = 0;      // of the chunk among those of all chunks
+    int32_t max_tile_slots = 0;  // point slots of a tile, at most
     Buffer tile_points, tile_num_points;
     Buffer point_scale;  // 3 rows; only if a point is constant or has an uncertainty
     std::vector<DeviceSegment> segments;
@@ -68,12 +80,32 @@ public:
     int64_t num_observations() const { return num_observations_; }
     int32_t num_points() const { return num_points_; }
     const std::vector<DeviceChunk>& chunks() const { return chunks_; }
-    int32_t max_tiles_per_chunk() const;
 
     void upload_state(const Problem& problem);    // into `state`
     void download_state(Problem& problem) const;  // from `state`
-    // trial = state moved by step.
+    // trial = state moved by step; points only where step has an E side.
     void update(const Vector& step);
+    // Launches a kernel over the tiles of a chunk for one of its segments: the arguments follow
+    // TILES (kernels/tiles.clh).
+    template <class... Arguments>
+    void launch(Step step, const char* path, const char* name, const std::string& defines,
+                const DeviceChunk& chunk, const DeviceSegment& segment,
+                const Arguments&... arguments) {
+        launch_groups(chunk.num_tiles, step, path, name, defines, chunk, segment, arguments...);
+    }
+    template <class... Arguments>
+    void launch_groups(int64_t groups, Step step, const char* path, const char* name,
+                       const std::string& defines, const DeviceChunk& chunk,
+                       const DeviceSegment& segment, const Arguments&... arguments) {
+        queue_.launch(step, queue_.kernel(path, name, defines, camera_model_path(segment.model)),
+                      groups, chunk.tile_points, chunk.tile_num_points, chunk.num_point_slots,
+                      segment.tile_runs, segment.run_image, segment.run_slots, segment.slot_point,
+                      arguments...);
+    }
+    // The first n of a buffer of WIDEs.
+    void read_wide(const Buffer& buffer, std::vector<double>& values, size_t n) const {
+        buffer.read(values.data(), n * sizeof(double));
+    }
 
     State state, trial;
 
@@ -115,6 +147,7 @@ public:
     void update_image_records(const State& of);
 
 private:
+    static const std::string& camera_model_path(int32_t model);
     template <class Value>
     Buffer upload_values(const std::vector<Value>& values, const char* label);
     void upload_structure(const Problem& problem);

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/direct_solver.hpp"
 
+#include "base/stopwatch.hpp"
+
 namespace clba {
 namespace {
 
 template <class Real>
-void download_blocks(const DeviceProblem& problem, StoredJacobian& stored,
+void download_blocks(const DeviceProblem& problem, Jacobian& device_jacobian,
                      reference::Jacobian& jacobian) {
     const int width = jacobian.columns;
-    problem.visit_slots<Real>(stored.blocks(), StoredJacobian::num_rows,
+    problem.visit_slots<Real>(device_jacobian.blocks(), Jacobian::num_block_rows,
                               [&](int64_t observation, int columns, auto&& slot) {
                                   double* image =
                                       jacobian.image_blocks.data() + observation * 2 * width;
@@ -36,12 +38,12 @@ reference::Jacobian empty_jacobian(const Problem& problem, const ParameterLayout
     return jacobian;
 }
 
-void download_jacobian(const DeviceProblem& problem, StoredJacobian& stored,
+void download_jacobian(const DeviceProblem& problem, Jacobian& device_jacobian,
                        reference::Jacobian& jacobian) {
     if (problem.precision() == Precision::double_precision)
-        download_blocks<double>(problem, stored, jacobian);
+        download_blocks<double>(problem, device_jacobian, jacobian);
     else
-        download_blocks<float>(problem, stored, jacobian);
+        download_blocks<float>(problem, device_jacobian, jacobian);
 }
 
 void zero_constant_columns(const Problem& problem, const ParameterLayout& layout,
@@ -76,20 +78,28 @@ DirectSolver::DirectSolver(const Problem& problem, NormalEquations& equations)
     gradient_.resize(n);
     damping_.resize(n);
     step_.resize(n);
+    device_gradient_ = equations.problem().make_vector("the gradient");
+    device_step_ = equations.problem().make_vector("the step");
 }
 
-LinearSolution DirectSolver::solve(double lambda, Vector& step) {
+LinearSolution DirectSolver::solve(double lambda) {
     DeviceProblem& device = equations_.problem();
     download_jacobian(device, equations_.jacobian, jacobian_);
     zero_constant_columns(problem_, device.layout(), jacobian_);
-    device.download(equations_.gradient, gradient_.data());
-    device.download(equations_.damping(), damping_.data());
+    equations_.get_gradient(device_gradient_);
+    device.download(device_gradient_, gradient_.data());
+    equations_.get_damping(device_step_);
+    device.download(device_step_, damping_.data());
     for (double& d : damping_) d *= lambda;
     LinearSolution solution;
     solution.num_iterations = 1;
+    const Stopwatch watch;
     solution.is_usable = direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
+    solution.factorization_seconds = watch.seconds();
     solution.num_indefinite_blocks = direct_.num_indefinite();
-    if (solution.is_usable) device.upload(step_.data(), step);
+    if (!solution.is_usable) return solution;
+    device.upload(step_.data(), device_step_);
+    take_step(equations_, device_gradient_, device_step_, solution);
     return solution;
 }
 

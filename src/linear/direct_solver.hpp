@@ -12,7 +12,9 @@ namespace clba {
 class DirectSolver : public LinearSolver {
 public:
     DirectSolver(const Problem& problem, NormalEquations& equations);
-    LinearSolution solve(double lambda, Vector& step) override;
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override { full.copy_from(device_step_); }
+    LinearSolverKind kind() const override { return LinearSolverKind::direct_schur; }
 
 private:
     NormalEquations& equations_;
@@ -20,11 +22,12 @@ private:
     reference::DirectSchur direct_;
     reference::Jacobian jacobian_;
     std::vector<double> gradient_, damping_, step_;
+    Vector device_gradient_, device_step_;
 };
 
-// The stored Jacobian in the caller's order and the block rows of reference::Jacobian, whose image
+// The Jacobian in the caller's order and the block rows of reference::Jacobian, whose image
 // and point lists, column count and sizes are set already. Columns of constants are not zeroed.
-void download_jacobian(const DeviceProblem& problem, StoredJacobian& stored,
+void download_jacobian(const DeviceProblem& problem, Jacobian& device_jacobian,
                        reference::Jacobian& jacobian);
 // Lists of a Jacobian for the problem's observations, with its blocks 0.
 reference::Jacobian empty_jacobian(const Problem& problem, const ParameterLayout& layout);

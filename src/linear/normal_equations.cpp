@@ -8,21 +8,32 @@
 
 namespace clba {
 
-NormalEquations::NormalEquations(DeviceProblem& problem, const DampingOptions& damping)
-    : jacobian(problem), problem_(problem), queue_(problem.queue()), options_(damping) {
+NormalEquations::NormalEquations(DeviceProblem& problem, const DampingOptions& damping,
+                                 JacobianForm form, const Loss& loss)
+    : jacobian(problem, form, loss), problem_(problem), queue_(problem.queue()), options_(damping) {
+    const Precision precision = problem.precision();
     int32_t max_block = 1;
     for (const ParameterBlock& block : problem.layout().blocks)
         max_block = std::max(max_block, block.size);
-    defines_ = text("-DREAL=", real_type(problem.precision()), " -DMAX_BLOCK=", max_block);
-    gradient = problem.make_vector("the gradient");
-    u_ = Buffer(queue_, problem.matrices_bytes(), "image blocks");
-    v_ = problem.make_point_rows(6, sizeof(double), "point blocks");
-    d2_ = problem.make_vector("the damping");
+    bool has_point_scales = false;
+    for (const DeviceChunk& chunk : problem.chunks())
+        has_point_scales = has_point_scales || chunk.point_scale;
+    defines_ = text(precision_defines(precision), " -DMAX_BLOCK=", max_block,
+                    " -DDAMPING=", static_cast<int>(damping.policy),
+                    " -DSCALED_POINTS=", has_point_scales ? 1 : 0);
+    gradient = problem.make_reduced_vector("the gradient");
+    diagonal = problem.make_reduced_vector("the diagonal");
+    point_gradient = problem.make_point_rows(3, real_bytes(precision), "the gradient");
+    point_roots = problem.make_point_rows(6, real_bytes(precision), "point blocks");
+    point_factors_ = problem.make_point_rows(6, real_bytes(precision), "point block factors");
+    int64_t num_tiles = 0;
+    for (const DeviceChunk& chunk : problem.chunks()) num_tiles += chunk.num_tiles;
+    tile_max = Buffer(queue_, static_cast<uint64_t>(num_tiles) * wide_bytes(precision),
+                      "the gradient of tiles");
+    d2_ = problem.make_reduced_vector("the damping");
     if (options_.policy == Damping::levenberg)
-        initial_diagonal_ = problem.make_vector("the initial diagonal");
+        fixed_point_damping_ = problem.make_point_rows(3, wide_bytes(precision), "the damping");
     image_factors_ = Buffer(queue_, problem.matrices_bytes(), "image block factors");
-    point_factors_ =
-        problem.make_point_rows(6, real_bytes(problem.precision()), "point block factors");
     failures_ = Buffer(queue_,
                        sizeof(int32_t) * static_cast<uint64_t>(queue_.tuning().vector_groups *
                                                                queue_.tuning().work_group_size),
@@ -37,25 +48,55 @@ int64_t NormalEquations::num_groups(int64_t n) const {
     return std::min<int64_t>(queue_.tuning().vector_groups, n);
 }
 
-void NormalEquations::update_blocks() {
-    jacobian.image_blocks(u_);
-    jacobian.point_blocks(v_);
-    const bool is_levenberg = options_.policy == Damping::levenberg;
-    const auto policy = static_cast<int32_t>(options_.policy);
-    const int32_t is_first = is_first_ ? 1 : 0;
-    queue_.launch(Step::preconditioner, kernel("image_damping"), num_groups(problem_.num_blocks()),
-                  policy, options_.min_diagonal, options_.max_diagonal, problem_.num_blocks(),
-                  problem_.block_offset, problem_.block_size, problem_.matrix_offset, u_,
-                  problem_.scale_f, is_levenberg ? &initial_diagonal_.f : nullptr, is_first, d2_.f);
+void NormalEquations::update_damping() {
+    has_u_ = false;
+    const bool is_first = !has_damping_;
+    has_damping_ = true;
+    if (options_.policy == Damping::levenberg && !is_first) return;
+    const int32_t n = problem_.layout().num_f;
+    queue_.launch(Step::preconditioner, kernel("image_damping"), num_groups(n),
+                  options_.min_diagonal, options_.max_diagonal, n, diagonal.f, problem_.scale_f,
+                  d2_.f);
+    if (options_.policy == Damping::levenberg) update_point_damping(fixed_point_damping_);
+}
+
+void NormalEquations::update_point_damping(std::vector<Buffer>& d2) {
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         queue_.launch(Step::preconditioner, kernel("point_damping"),
-                      num_groups(chunk.num_point_slots), policy, options_.min_diagonal,
-                      options_.max_diagonal, chunk.num_point_slots, v_[c],
-                      chunk.point_scale_or_null(), is_levenberg ? &initial_diagonal_.e[c] : nullptr,
-                      is_first, d2_.e[c]);
+                      num_groups(chunk.num_point_slots), options_.min_diagonal,
+                      options_.max_diagonal, chunk.num_point_slots, point_roots[c],
+                      chunk.point_scale_or_null(), d2[c]);
     }
-    is_first_ = false;
+}
+
+void NormalEquations::get_gradient(Vector& full) {
+    full.f.copy_from(gradient.f);
+    for (size_t c = 0; c < full.e.size(); ++c)
+        problem_.vectors().from_real(point_gradient[c], full.e[c]);
+}
+
+double NormalEquations::gradient_max_norm() {
+    std::vector<double> largest(tile_max.bytes() / wide_bytes(problem_.precision()));
+    problem_.read_wide(tile_max, largest, largest.size());
+    return std::accumulate(largest.begin(), largest.end(), problem_.vectors().max_abs(gradient),
+                           [](double a, double b) { return std::max(a, b); });
+}
+
+const Buffer& NormalEquations::u() {
+    if (!u_) u_ = Buffer(queue_, problem_.matrices_bytes(), "image blocks");
+    if (!has_u_) jacobian.image_blocks(u_);
+    has_u_ = true;
+    return u_;
+}
+
+void NormalEquations::get_damping(Vector& full) {
+    full.f.copy_from(d2_.f);
+    if (options_.policy != Damping::levenberg) {
+        update_point_damping(full.e);
+        return;
+    }
+    for (size_t c = 0; c < full.e.size(); ++c) full.e[c].copy_from(fixed_point_damping_[c]);
 }
 
 int64_t NormalEquations::read_failures(int64_t groups) {
@@ -69,8 +110,10 @@ int64_t NormalEquations::factor_points(double lambda) {
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         const int64_t groups = num_groups(chunk.num_point_slots);
-        queue_.launch(Step::preconditioner, kernel("factor_point_blocks"), groups, lambda,
-                      chunk.num_point_slots, v_[c], chunk.point_scale_or_null(), d2_.e[c],
+        queue_.launch(Step::preconditioner, kernel("factor_point_blocks"), groups,
+                      options_.min_diagonal, options_.max_diagonal, lambda, chunk.num_point_slots,
+                      point_roots[c], chunk.point_scale_or_null(),
+                      fixed_point_damping_.empty() ? nullptr : &fixed_point_damping_[c],
                       point_factors_[c], failures_);
         failures += read_failures(groups);
     }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
+#include <string>
 #include <vector>
 
 #include "linear/device_problem.hpp"
-#include "linear/stored_jacobian.hpp"
+#include "linear/jacobian.hpp"
 
 namespace clba {
 
@@ -15,21 +16,29 @@ struct DampingOptions {
     double max_diagonal = 1e32;
 };
 
-// (J^T J + lambda D^2) delta = -gradient at the current state: the Jacobian, its gradient, the
-// diagonal blocks U and V, the damping, and factored inverses of damped blocks.
+// (J^T J + lambda D^2) delta = -gradient at the current state. The evaluator fills what is public.
 class NormalEquations {
 public:
-    NormalEquations(DeviceProblem& problem, const DampingOptions& damping);
+    NormalEquations(DeviceProblem& problem, const DampingOptions& damping, JacobianForm form,
+                    const Loss& loss);
 
     DeviceProblem& problem() { return problem_; }
-    StoredJacobian jacobian;
-    Vector gradient;  // filled with the Jacobian by the evaluator
+    Jacobian jacobian;
+    Vector gradient;                     // F side
+    std::vector<Buffer> point_gradient;  // E side: 3 rows of REAL a chunk
+    Vector diagonal;                     // of J_F^T J_F
+    std::vector<Buffer> point_roots;     // L of V = L L^T: 6 rows of REAL a chunk
+    Buffer tile_max;                     // of |point_gradient|, tile by tile of all chunks
 
-    // U, V and D^2 of the Jacobian. To be called after each linearisation.
-    void update_blocks();
-    const Buffer& u() const { return u_; }
-    const std::vector<Buffer>& v() const { return v_; }
-    const Vector& damping() const { return d2_; }  // D^2
+    // Damping of the F side. To be called after each linearisation.
+    void update_damping();
+
+    double gradient_max_norm();
+    const Buffer& u();                             // diagonal blocks of J_F^T J_F, packed
+    const Vector& damping() const { return d2_; }  // D^2 of the F side
+    // F and E together.
+    void get_gradient(Vector& full);
+    void get_damping(Vector& full);
 
     // Inverse factors of blocks + lambda D^2; return how many are not positive definite.
     int64_t factor_points(double lambda);
@@ -44,16 +53,17 @@ private:
     Kernel& kernel(const char* name);
     int64_t num_groups(int64_t n) const;
     int64_t read_failures(int64_t groups);
+    void update_point_damping(std::vector<Buffer>& d2);
 
     DeviceProblem& problem_;
     Queue& queue_;
     DampingOptions options_;
     std::string defines_;
-    bool is_first_ = true;
-    Buffer u_;
-    std::vector<Buffer> v_;
+    bool has_damping_ = false;  // of some linearisation
+    bool has_u_ = false;        // of the current linearisation
+    Buffer u_;                  // made when it is first asked for
     Vector d2_;
-    Vector initial_diagonal_;  // levenberg alone
+    std::vector<Buffer> fixed_point_damping_;  // levenberg alone: of the first linearisation
     Buffer image_factors_;
     std::vector<Buffer> point_factors_;
     Buffer failures_;

@@ -2,43 +2,79 @@
 #include "linear/pcg.hpp"
 
 #include <cmath>
+#include <numeric>
+#include <utility>
 
 namespace clba {
+namespace {
 
-PcgResult pcg(PcgSystem& system, const PcgOptions& options, VectorOperations& vectors,
-              const Vector& b, PcgWork& work, Vector& x) {
+// Sums of partials; rho alternates between the first two.
+constexpr int32_t curvature_sum = 2, model_sum = 3, num_sums = 4;
+
+}  // namespace
+
+Pcg::Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vector r, Vector z,
+         Vector p, Vector q)
+    : options_(options),
+      queue_(queue),
+      vectors_(vectors),
+      r_(std::move(r)),
+      z_(std::move(z)),
+      p_(std::move(p)),
+      q_(std::move(q)),
+      num_partials_(vectors.num_partials(r_)),
+      host_partials_(static_cast<size_t>(num_sums * num_partials_)) {
+    partials_ = Buffer(queue, host_partials_.size() * sizeof(double), "PCG");
+}
+
+PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, const Vector& b,
+                     Vector& x) {
+    const auto kernel = [&](const char* name) -> Kernel& {
+        return queue_.kernel("pcg.cl", name, vectors_.defines());
+    };
+    const auto sum = [&](int32_t which) {
+        const auto first = host_partials_.begin() + which * num_partials_;
+        return std::accumulate(first, first + num_partials_, 0.0);
+    };
     PcgResult result;
     x.fill_zero();
-    work.r.copy_from(b);
-    system.precondition(work.r, work.z);
-    double rho = vectors.dot(work.r, work.z);
-    if (rho == 0) {  // b = 0, or M^-1 b = 0: every free parameter is at rest
-        result.is_usable = true;
-        return result;
-    }
-    if (!(rho > 0) || !std::isfinite(rho)) return result;
-    work.p.copy_from(work.z);
+    r_.copy_from(b);
+    system.precondition(r_, z_);
+    vectors_.dot_partials(r_, z_, partials_);
     double model = 0;  // Q
-    for (int k = 1; k <= options.max_iterations; ++k) {
-        system.multiply(work.p, work.q);
-        const double curvature = vectors.dot(work.p, work.q);
-        if (!(curvature > 0) || !std::isfinite(curvature)) return result;
-        const double alpha = rho / curvature;
-        const double next_model = -0.5 * vectors.pcg_step(alpha, work.p, work.q, b, x, work.r);
-        result.num_iterations = k;
-        if (!std::isfinite(next_model)) {
-            result.is_usable = false;
+    for (int32_t k = 1; k <= options_.max_iterations; ++k) {
+        const int32_t rho = (k - 1) % 2, next_rho = k % 2;
+        vectors_.for_each_part(p_, [&](size_t i, int64_t groups, int32_t) {
+            queue_.launch(Step::vector, kernel("pcg_direction"), groups,
+                          vectors_.num_values(p_.part(i)), k == 1 ? 1 : 0, num_partials_,
+                          rho * num_partials_, next_rho * num_partials_, partials_, z_.part(i),
+                          lambda, d2.part(i), p_.part(i), q_.part(i));
+        });
+        system.add_product(p_, q_);
+        vectors_.dot_partials(p_, q_, partials_, curvature_sum * num_partials_);
+        vectors_.for_each_part(p_, [&](size_t i, int64_t groups, int32_t first) {
+            queue_.launch(Step::vector, kernel("pcg_step"), groups, vectors_.num_values(p_.part(i)),
+                          num_partials_, rho * num_partials_, curvature_sum * num_partials_,
+                          p_.part(i), q_.part(i), b.part(i), x.part(i), r_.part(i),
+                          model_sum * num_partials_ + first, partials_, queue_.scratch());
+        });
+        system.precondition(r_, z_);
+        vectors_.dot_partials(r_, z_, partials_, next_rho * num_partials_);
+        partials_.read(host_partials_.data(), partials_.bytes());
+
+        if (k == 1 && sum(rho) == 0) {  // b = 0, or M^-1 b = 0: every free parameter is at rest
+            result.is_usable = true;
             return result;
         }
-        result.is_usable = true;
-        const bool is_flat = k * (next_model - model) / next_model < options.eta;
+        if (!(sum(rho) > 0) || !std::isfinite(sum(rho))) return result;
+        if (!(sum(curvature_sum) > 0) || !std::isfinite(sum(curvature_sum))) return result;
+        result.num_iterations = k;
+        const double next_model = -0.5 * sum(model_sum);
+        result.is_usable = std::isfinite(next_model);
+        if (!result.is_usable) return result;
+        const bool is_flat = k * (next_model - model) / next_model < options_.eta;
         model = next_model;
-        if (is_flat && k >= options.min_iterations) return result;
-        system.precondition(work.r, work.z);
-        const double next_rho = vectors.dot(work.r, work.z);
-        if (!(next_rho > 0) || !std::isfinite(next_rho)) return result;
-        vectors.scale_and_add(1.0, work.z, next_rho / rho, work.p);
-        rho = next_rho;
+        if (is_flat && k >= options_.min_iterations) return result;
     }
     return result;
 }

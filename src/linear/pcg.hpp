@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
+#include <vector>
+
 #include "linear/vector.hpp"
 
 namespace clba {
 
-// A symmetric positive definite system on the device, as conjugate gradients see it.
+// A symmetric positive definite system A + lambda D^2 on the device, as conjugate gradients see it.
 class PcgSystem {
 public:
     virtual ~PcgSystem() = default;
-    virtual void multiply(const Vector& p, Vector& q) = 0;      // q = A p
+    virtual void add_product(const Vector& p, Vector& q) = 0;   // q += A p
     virtual void precondition(const Vector& r, Vector& z) = 0;  // z = M^-1 r
 };
 
@@ -18,21 +20,35 @@ struct PcgOptions {
     double eta = 0.1;
 };
 
-struct PcgWork {
-    Vector r, z, p, q;
-};
-
 struct PcgResult {
     bool is_usable = false;
     int num_iterations = 0;
 };
 
-// Solves A x = b from x = 0 by preconditioned conjugate gradients. Stops when iteration k improves
-// the quadratic model Q(x) = 1/2 x^T A x - b^T x by a share less than eta / k: k (Q_k - Q_k-1) /
-// Q_k < eta (Nash and Sofer, "Assessing a search direction within a truncated-Newton method",
-// 1990). On negative curvature, or a number that is not finite, what was found before is kept; it
-// is usable if there was an iteration.
-PcgResult pcg(PcgSystem& system, const PcgOptions& options, VectorOperations& vectors,
-              const Vector& b, PcgWork& work, Vector& x);
+// Preconditioned conjugate gradients. All scalars stay on the device; the host looks at what they
+// are once an iteration, or less often where a look costs more than an iteration.
+class Pcg {
+public:
+    // like: a vector with the parts of the system's.
+    Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vector r, Vector z,
+        Vector p, Vector q);
+
+    void limit_iterations(int max_iterations) { options_.max_iterations = max_iterations; }
+    // Solves (A + lambda D^2) x = b from x = 0. Stops when iteration k improves the quadratic model
+    // Q(x) = 1/2 x^T A x - b^T x by a share less than eta / k: k (Q_k - Q_k-1) / Q_k < eta (Nash
+    // and Sofer, "Assessing a search direction within a truncated-Newton method", 1990). On
+    // negative curvature, or a number that is not finite, what was found before is kept; it is
+    // usable if there was an iteration.
+    PcgResult solve(PcgSystem& system, double lambda, const Vector& d2, const Vector& b, Vector& x);
+
+private:
+    PcgOptions options_;
+    Queue& queue_;
+    VectorOperations& vectors_;
+    Vector r_, z_, p_, q_;
+    int32_t num_partials_ = 0;
+    Buffer partials_;  // of rho, of rho before, of the curvature and of the model
+    std::vector<double> host_partials_;
+};
 
 }  // namespace clba

@@ -1,41 +1,54 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/pcg_solvers.hpp"
 
+#include "linear/reduced_system.hpp"
+
 namespace clba {
 namespace {
 
-PcgOptions pcg_options(const LinearSolverOptions& options) {
-    return {options.min_iterations, options.max_iterations, options.eta};
+// make_vector: a vector of the system's parts.
+template <class MakeVector>
+Pcg make_pcg(const LinearSolverOptions& options, DeviceProblem& problem, MakeVector&& make_vector) {
+    return Pcg({options.min_iterations, options.max_iterations, options.eta}, problem.queue(),
+               problem.vectors(), make_vector(), make_vector(), make_vector(), make_vector());
 }
 
 }  // namespace
 
 PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equations)
-    : options_(pcg_options(options)), equations_(equations) {
+    : equations_(equations), pcg_(make_pcg(options, equations.problem(), [&] {
+          return equations.problem().make_vector("PCG");
+      })) {
     DeviceProblem& problem = equations.problem();
-    work_ = {problem.make_vector("PCG"), problem.make_vector("PCG"), problem.make_vector("PCG"),
-             problem.make_vector("PCG")};
+    gradient_ = problem.make_vector("the gradient");
+    damping_ = problem.make_vector("the damping");
     b_ = problem.make_vector("PCG");
+    step_ = problem.make_vector("the step");
 }
 
-LinearSolution PcgHessian::solve(double lambda, Vector& step) {
+LinearSolution PcgHessian::solve(double lambda) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
-    lambda_ = lambda;
     solution.num_indefinite_blocks =
         equations_.factor_points(lambda) + equations_.factor_images(lambda, equations_.u());
     if (solution.num_indefinite_blocks > 0) return solution;
-    vectors.scale_and_add(-1.0, equations_.gradient, 0.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step);
+    equations_.get_gradient(gradient_);
+    equations_.get_damping(damping_);
+    vectors.scale_and_add(-1.0, gradient_, 0.0, b_);
+    const PcgResult result = pcg_.solve(*this, lambda, damping_, b_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
     return solution;
 }
 
-void PcgHessian::multiply(const Vector& p, Vector& q) {
+void PcgHessian::get_step(Vector& full) {
+    full.copy_from(step_);
+}
+
+void PcgHessian::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.multiply(p);
-    equations_.jacobian.multiply_transposed(q);
-    equations_.problem().vectors().add_damping(lambda_, equations_.damping(), p, q);
+    equations_.jacobian.add_transposed(q);
 }
 
 void PcgHessian::precondition(const Vector& r, Vector& z) {
@@ -44,23 +57,20 @@ void PcgHessian::precondition(const Vector& r, Vector& z) {
 }
 
 PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equations)
-    : options_(pcg_options(options)),
-      preconditioner_(options.preconditioner),
-      equations_(equations) {
+    : preconditioner_(options.preconditioner),
+      equations_(equations),
+      pcg_(make_pcg(options, equations.problem(),
+                    [&] { return equations.problem().make_reduced_vector("PCG"); })) {
     DeviceProblem& problem = equations.problem();
-    work_ = {problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG"),
-             problem.make_reduced_vector("PCG"), problem.make_reduced_vector("PCG")};
     b_ = problem.make_reduced_vector("PCG");
-    points_ = problem.make_vector("elimination");
+    step_ = problem.make_reduced_vector("the step");
     if (preconditioner_ == Preconditioner::schur_jacobi)
         schur_blocks_ = Buffer(problem.queue(), problem.matrices_bytes(), "Schur blocks");
 }
 
-LinearSolution PcgSchur::solve(double lambda, Vector& step) {
+LinearSolution PcgSchur::solve(double lambda) {
     LinearSolution solution;
-    StoredJacobian& jacobian = equations_.jacobian;
-    VectorOperations& vectors = equations_.problem().vectors();
-    lambda_ = lambda;
+    Jacobian& jacobian = equations_.jacobian;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     if (preconditioner_ == Preconditioner::schur_jacobi) {
@@ -71,30 +81,20 @@ LinearSolution PcgSchur::solve(double lambda, Vector& step) {
     }
     if (solution.num_indefinite_blocks > 0) return solution;
 
-    // b = -g_F + W z with z = V^-1 g_E, and W z the F side of J^T J [0; z].
-    points_.f.fill_zero();
-    equations_.apply_point_factors(equations_.gradient, points_);
-    jacobian.multiply(points_);
-    jacobian.multiply_transposed(points_);
-    b_.f.copy_from(points_.f);
-    vectors.scale_and_add(-1.0, equations_.gradient, 1.0, b_);
-    const PcgResult result = pcg(*this, options_, vectors, b_, work_, step);
+    reduced_right_side(equations_, b_);
+    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), b_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
-    if (!solution.is_usable) return solution;
-
-    // delta_E = -V^-1 (g_E + W^T delta_F), and W^T delta_F the E side of J^T J [delta_F; 0].
-    jacobian.multiply(step);
-    jacobian.multiply_transposed(points_);
-    vectors.scale_and_add(1.0, equations_.gradient, 1.0, points_);
-    vectors.scale_and_add(-1.0, points_, 0.0, points_);
-    equations_.apply_point_factors(points_, step);
+    if (solution.is_usable) take_reduced_step(equations_, step_, solution);
     return solution;
 }
 
-void PcgSchur::multiply(const Vector& p, Vector& q) {
-    equations_.jacobian.schur_multiply(p, equations_.point_factors(), q);
-    equations_.problem().vectors().add_damping(lambda_, equations_.damping(), p, q);
+void PcgSchur::get_step(Vector& full) {
+    get_reduced_step(equations_, step_, full);
+}
+
+void PcgSchur::add_product(const Vector& p, Vector& q) {
+    equations_.jacobian.add_schur_product(p, equations_.point_factors(), q);
 }
 
 void PcgSchur::precondition(const Vector& r, Vector& z) {

@@ -10,17 +10,17 @@ namespace clba {
 class PcgHessian : public LinearSolver, private PcgSystem {
 public:
     PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda, Vector& step) override;
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override;
+    LinearSolverKind kind() const override { return LinearSolverKind::pcg_hessian; }
 
 private:
-    void multiply(const Vector& p, Vector& q) override;
+    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
-    PcgOptions options_;
     NormalEquations& equations_;
-    double lambda_ = 0;
-    PcgWork work_;
-    Vector b_;
+    Pcg pcg_;
+    Vector gradient_, damping_, b_, step_;
 };
 
 // PCG on the reduced camera system S = U_lambda - W V_lambda^-1 W^T, never formed, and
@@ -28,19 +28,20 @@ private:
 class PcgSchur : public LinearSolver, private PcgSystem {
 public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda, Vector& step) override;
+    LinearSolution solve(double lambda) override;
+    // Of the solves to come.
+    void limit_iterations(int max_iterations) { pcg_.limit_iterations(max_iterations); }
+    void get_step(Vector& full) override;
+    LinearSolverKind kind() const override { return LinearSolverKind::pcg_schur; }
 
 private:
-    void multiply(const Vector& p, Vector& q) override;
+    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
-    PcgOptions options_;
     Preconditioner preconditioner_;
     NormalEquations& equations_;
-    double lambda_ = 0;
-    PcgWork work_;
-    Vector b_;       // F alone
-    Vector points_;  // scratch: F and E
+    Pcg pcg_;
+    Vector b_, step_;  // F alone
     Buffer schur_blocks_;
 };
 

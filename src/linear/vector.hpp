@@ -39,21 +39,31 @@ public:
     double squared_norm(const std::vector<Buffer>& reals);  // of REALs, all buffers together
     double max_abs(const Vector& x);                        // infinite if one is NaN
     void scale_and_add(double a, const Vector& x, double b, Vector& y);  // y = a x + b y
-    void add_damping(double lambda, const Vector& d2, const Vector& x, Vector& y);
-    // x += alpha p, r -= alpha q; returns x . (b + r).
-    double pcg_step(double alpha, const Vector& p, const Vector& q, const Vector& b, Vector& x,
-                    Vector& r);
+    // x . y as partials on the device, from first_partial; returns how many.
+    int32_t dot_partials(const Vector& x, const Vector& y, Buffer& partials,
+                         int32_t first_partial = 0);
+    // As many as dot_partials leaves for vectors like x.
+    int32_t num_partials(const Vector& x) const;
+    // visit(part, work-groups, first partial) for each part of vectors like x.
+    template <class Visit>
+    void for_each_part(const Vector& x, Visit&& visit) const {
+        int32_t first_partial = 0;
+        for (size_t i = 0; i < x.num_parts(); ++i) {
+            const int64_t groups = num_groups(num_values(x.part(i)));
+            visit(i, groups, first_partial);
+            first_partial += static_cast<int32_t>(groups);
+        }
+    }
+    int32_t num_values(const Buffer& wides) const;
+    const std::string& defines() const { return defines_; }
     void to_real(const Buffer& x, Buffer& y);    // doubles to REAL
     void from_real(const Buffer& x, Buffer& y);  // REAL to doubles
+    void add_real(const Buffer& x, Buffer& y);   // y += x, REAL to doubles
     void mask_constants(const Buffer& scale, Buffer& x);
 
 private:
     Kernel& kernel(const char* name);
     int64_t num_groups(int64_t n) const;
-    // Partials of all parts of a vector like x, each launched by launch(part, groups, first
-    // partial).
-    template <class Launch>
-    const std::vector<double>& partials(const Vector& x, Launch&& launch);
     void reserve_partials(size_t num_parts);
     const std::vector<double>& read_partials(int64_t count);
 

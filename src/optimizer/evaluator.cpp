@@ -6,81 +6,102 @@
 namespace clba {
 namespace {
 
-constexpr int sums_per_tile = 4;  // kernels/residual.cl
+constexpr int sums_per_tile = 4;   // kernels/residual.cl
+constexpr int sums_per_point = 9;  // kernels/linearize.cl
 
 }  // namespace
 
 Evaluator::Evaluator(DeviceProblem& problem, const Loss& loss)
     : problem_(problem), queue_(problem.queue()), loss_(loss) {
-    uint64_t most_gradients = 0;
-    for (const DeviceChunk& chunk : problem.chunks())
-        for (const DeviceSegment& segment : chunk.segments)
-            most_gradients =
-                std::max(most_gradients, static_cast<uint64_t>(segment.num_runs) *
-                                             static_cast<uint64_t>(segment.num_columns));
-    sums_.resize(static_cast<size_t>(sums_per_tile * problem.max_tiles_per_chunk()));
-    tile_sums_ = Buffer(queue_, sums_.size() * sizeof(double), "cost of tiles");
-    run_gradient_ = Buffer(queue_, most_gradients * sizeof(double), "gradients of runs");
+    int32_t num_tiles = 0, most_slots = 0;
+    for (const DeviceChunk& chunk : problem.chunks()) {
+        num_tiles += chunk.num_tiles * static_cast<int32_t>(chunk.segments.size());
+        most_slots = std::max(most_slots, chunk.max_tile_slots);
+        num_point_sums_ = std::max(num_point_sums_, num_groups(chunk));
+    }
+    sums_.resize(static_cast<size_t>(sums_per_tile * num_tiles));
+    const size_t bytes = wide_bytes(problem.precision());
+    tile_sums_ = Buffer(queue_, sums_.size() * bytes, "cost of tiles");
+    point_capacity_ = most_slots;
+    point_sums_ =
+        Buffer(queue_,
+               static_cast<uint64_t>(sums_per_point) * bytes *
+                   static_cast<uint64_t>(point_capacity_) * static_cast<uint64_t>(num_point_sums_),
+               "sums of points");
 }
 
-Kernel& Evaluator::kernel(const char* path, const char* name, const DeviceSegment& segment) {
-    const std::string defines =
-        text("-DREAL=", real_type(problem_.precision()), " -DLOSS=", static_cast<int>(loss_.kind),
-             " -DWHITENED=", segment.whitening ? 1 : 0, " -DIMAGE_RECORD=", 12 + max_camera_params);
-    return queue_.kernel(path, name, defines,
-                         text("camera_models/", camera_models[segment.model].name, ".clh"));
+// How many work-groups share the tiles of a chunk: they keep what its points add up to, which only
+// one segment can see in a single launch.
+int64_t Evaluator::num_groups(const DeviceChunk& chunk) const {
+    if (chunk.segments.size() != 1) return chunk.num_tiles;
+    return std::min<int64_t>(chunk.num_tiles, queue_.tuning().tile_groups);
+}
+
+std::string Evaluator::defines(const DeviceSegment& segment) const {
+    return text(" -DLOSS=", static_cast<int>(loss_.kind),
+                " -DWHITENED=", segment.whitening ? 1 : 0);
 }
 
 CostEvaluation Evaluator::cost(const State& state, std::vector<Buffer>* residuals) {
-    CostEvaluation evaluation;
     problem_.update_image_records(state);
+    const std::string common =
+        precision_defines(problem_.precision()) + text(" -DMAX_CAMERA_PARAMS=", max_camera_params);
     size_t index = 0;
+    int32_t num_tiles = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         for (const DeviceSegment& segment : chunk.segments) {
             const Buffer* residual = residuals ? &(*residuals)[index] : nullptr;
             ++index;
-            queue_.launch(Step::residual, kernel("residual.cl", "residual", segment),
-                          chunk.num_tiles, chunk.tile_points, chunk.tile_num_points,
-                          segment.tile_runs, segment.run_image, segment.run_slots,
-                          segment.slot_point, segment.xy,
-                          segment.whitening ? &segment.whitening : nullptr, problem_.image_records,
-                          chunk.num_point_slots, state.points[c], loss_.scale, residual, tile_sums_,
-                          queue_.scratch());
-            const size_t num_sums = static_cast<size_t>(sums_per_tile * chunk.num_tiles);
-            tile_sums_.read(sums_.data(), num_sums * sizeof(double));
-            for (size_t i = 0; i < num_sums; i += sums_per_tile) {
-                evaluation.cost += sums_[i];
-                evaluation.num_behind += static_cast<int64_t>(sums_[i + 1]);
-                evaluation.num_singular += static_cast<int64_t>(sums_[i + 2]);
-            }
+            problem_.launch(Step::residual, "residual.cl", "residual", common + defines(segment),
+                            chunk, segment, segment.xy,
+                            segment.whitening ? &segment.whitening : nullptr,
+                            problem_.image_records, state.points[c], loss_.scale, residual,
+                            num_tiles, tile_sums_, queue_.scratch());
+            num_tiles += chunk.num_tiles;
         }
+    }
+    CostEvaluation evaluation;
+    problem_.read_wide(tile_sums_, sums_, sums_.size());
+    for (size_t i = 0; i < sums_.size(); i += sums_per_tile) {
+        evaluation.cost += sums_[i];
+        evaluation.num_behind += static_cast<int64_t>(sums_[i + 1]);
+        evaluation.num_singular += static_cast<int64_t>(sums_[i + 2]);
     }
     return evaluation;
 }
 
 void Evaluator::linearize(NormalEquations& equations) {
+    // Stages of kernels/linearize.cl.
+    constexpr int zero_stage = 1, runs_stage = 2, finish_stage = 4;
+    Jacobian& jacobian = equations.jacobian;
     problem_.update_image_records(problem_.state);
     equations.gradient.fill_zero();
+    equations.diagonal.fill_zero();
     size_t index = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
-        for (const DeviceSegment& segment : chunk.segments) {
-            queue_.launch(Step::jacobian, kernel("jacobian.cl", "jacobian", segment),
-                          chunk.num_tiles, chunk.tile_points, chunk.tile_num_points,
-                          segment.tile_runs, segment.run_image, segment.run_slots,
-                          segment.slot_point, segment.xy,
-                          segment.whitening ? &segment.whitening : nullptr, problem_.image_records,
-                          chunk.num_point_slots, problem_.state.points[c], loss_.scale,
-                          equations.jacobian.blocks()[index++], run_gradient_,
-                          equations.gradient.e[c], queue_.scratch());
-            equations.jacobian.reduce_runs(Step::jacobian, segment, run_gradient_, true,
-                                           equations.gradient.f);
+        for (size_t s = 0; s < chunk.segments.size(); ++s) {
+            const DeviceSegment& segment = chunk.segments[s];
+            const int stages = (s == 0 ? zero_stage : 0) | runs_stage |
+                               (s + 1 == chunk.segments.size() ? finish_stage : 0);
+            problem_.launch_groups(
+                num_groups(chunk), Step::jacobian, "linearize.cl", "linearize",
+                jacobian.defines(segment) + defines(segment), chunk, segment, stages,
+                chunk.num_tiles, segment.xy, segment.whitening ? &segment.whitening : nullptr,
+                problem_.image_records, problem_.state.points[c], loss_.scale,
+                chunk.point_scale_or_null(), jacobian.rows()[index++], jacobian.run_sums(),
+                point_capacity_, point_sums_, equations.point_roots[c], equations.point_gradient[c],
+                chunk.first_tile, equations.tile_max, queue_.scratch());
+            const int columns = segment.num_columns;
+            jacobian.reduce_runs(Step::jacobian, segment, true, 2 * columns, 0,
+                                 equations.gradient.f);
+            jacobian.reduce_runs(Step::jacobian, segment, true, 2 * columns, columns,
+                                 equations.diagonal.f);
         }
-        if (chunk.point_scale)
-            problem_.vectors().mask_constants(chunk.point_scale, equations.gradient.e[c]);
     }
     problem_.vectors().mask_constants(problem_.scale_f, equations.gradient.f);
+    equations.update_damping();
 }
 
 }  // namespace clba

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "linear/device_problem.hpp"
@@ -23,18 +24,21 @@ public:
 
     // residuals: NULL, or slots of 2 rows of doubles for sqrt(rho') r.
     CostEvaluation cost(const State& state, std::vector<Buffer>* residuals);
-    // Jacobian and gradient at problem.state.
+    // Jacobian, gradient, V and D^2 at problem.state.
     void linearize(NormalEquations& equations);
 
 private:
-    Kernel& kernel(const char* path, const char* name, const DeviceSegment& segment);
+    int64_t num_groups(const DeviceChunk& chunk) const;
+    std::string defines(const DeviceSegment& segment) const;
 
     DeviceProblem& problem_;
     Queue& queue_;
     Loss loss_;
     std::vector<double> sums_;
     Buffer tile_sums_;
-    Buffer run_gradient_;
+    int32_t point_capacity_ = 0;  // slots of a tile, at most
+    int64_t num_point_sums_ = 0;  // work-groups that have point_sums_ of their own
+    Buffer point_sums_;
 };
 
 }  // namespace clba

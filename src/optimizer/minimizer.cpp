@@ -4,8 +4,8 @@
 #include <cmath>
 
 #include "base/error.hpp"
+#include "base/stopwatch.hpp"
 #include "optimizer/evaluator.hpp"
-#include "optimizer/stopwatch.hpp"
 #include "optimizer/trust_region.hpp"
 
 namespace clba {
@@ -22,9 +22,8 @@ public:
           start_seconds_(start_seconds),
           summary_(summary),
           evaluator_(device, host),
-          equations_(device, options.damping),
+          equations_(device, options.damping, options.jacobian, host.loss),
           solver_(make_linear_solver(options.linear_solver, host, equations_)),
-          step_(device.make_vector("the step")),
           trust_region_(options.initial_radius, options.max_radius) {
         summary_.setup_seconds += lap();
     }
@@ -44,6 +43,8 @@ public:
         summary_.num_behind_final = current_.num_behind;
         summary_.num_singular = current_.num_singular;
         summary_.step_seconds = device_.queue().step_seconds();
+        summary_.linear_solver = solver_->kind();
+        summary_.choice = solver_->reason();
     }
 
 private:
@@ -80,8 +81,7 @@ private:
 
     void linearize() {
         evaluator_.linearize(equations_);
-        equations_.update_blocks();
-        gradient_max_norm_ = vectors_.max_abs(equations_.gradient);
+        gradient_max_norm_ = equations_.gradient_max_norm();
         summary_.linearize_seconds += lap();
     }
 
@@ -115,23 +115,19 @@ private:
 
     // Computes a step and takes it if the cost falls enough.
     void take_step() {
-        const LinearSolution solution = solver_->solve(trust_region_.lambda(), step_);
+        const LinearSolution solution = solver_->solve(trust_region_.lambda());
         summary_.num_indefinite_blocks += solution.num_indefinite_blocks;
         summary_.num_linear_solver_iterations += solution.num_iterations;
+        summary_.factorization_seconds += solution.factorization_seconds;
         row_.linear_solver_iterations = solution.num_iterations;
-        double model_decrease = 0;  // -g . step - 1/2 |J step|^2
-        if (solution.is_usable) {
-            model_decrease = -vectors_.dot(equations_.gradient, step_) -
-                             0.5 * equations_.jacobian.squared_norm(step_);
-            row_.step_norm = std::sqrt(vectors_.dot(step_, step_));
-        }
+        row_.step_norm = solution.step_norm;
         summary_.linear_solver_seconds += lap();
         // False for NaN too.
-        if (!solution.is_usable || !(model_decrease > 0) || !std::isfinite(row_.step_norm)) {
+        if (!solution.is_usable || !(solution.model_decrease > 0) ||
+            !std::isfinite(row_.step_norm)) {
             handle_invalid_step();
             return;
         }
-        device_.update(step_);
         const CostEvaluation trial = evaluator_.cost(device_.trial, nullptr);
         summary_.evaluate_seconds += lap();
         if (!std::isfinite(trial.cost)) {
@@ -141,7 +137,7 @@ private:
         consecutive_invalid_steps_ = 0;
         row_.step_is_valid = true;
         row_.cost_change = current_.cost - trial.cost;
-        row_.gain_ratio = row_.cost_change / model_decrease;
+        row_.gain_ratio = row_.cost_change / solution.model_decrease;
         if (row_.cost_change > 0 && row_.gain_ratio > options_.min_relative_decrease) {
             row_.step_is_accepted = true;
             device_.state.swap(device_.trial);
@@ -242,7 +238,6 @@ private:
     Evaluator evaluator_;
     NormalEquations equations_;
     std::unique_ptr<LinearSolver> solver_;
-    Vector step_;
     TrustRegion trust_region_;
     CostEvaluation current_;
     double gradient_max_norm_ = 0;

@@ -13,6 +13,7 @@ namespace clba {
 struct MinimizerOptions {
     LinearSolverOptions linear_solver;
     DampingOptions damping;
+    JacobianForm jacobian = JacobianForm::recomputed;
     int max_iterations = 50;
     int max_consecutive_invalid_steps = 5;
     double initial_radius = 1e4;

@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "base/error.hpp"
-#include "optimizer/stopwatch.hpp"
+#include "base/stopwatch.hpp"
 #include "reference/bundle.hpp"
 
 namespace clba {
@@ -41,6 +41,7 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     if (options.linear_solver.kind != LinearSolverKind::direct_schur)
         summary.eta = options.linear_solver.eta;
     summary.damping = options.damping.policy;
+    summary.jacobian = options.jacobian;
     summary.precision = precision;
     summary.device = context->device().name;
     if (problem.observations.empty() || !has_free_parameters(problem, ParameterLayout(problem))) {

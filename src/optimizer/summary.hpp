@@ -51,6 +51,8 @@ struct Summary {
     Preconditioner preconditioner = Preconditioner::none;
     Damping damping = Damping::marquardt;
     Precision precision = Precision::mixed;
+    JacobianForm jacobian = JacobianForm::recomputed;
+    std::string choice;  // why the linear solver was chosen
     double eta = 0;
     int num_accepted_steps = 0, num_rejected_steps = 0, num_invalid_steps = 0;
     int num_linear_solver_iterations = 0;
@@ -58,6 +60,7 @@ struct Summary {
     int64_t num_indefinite_blocks = 0;
     double initial_cost = 0, final_cost = 0, reference_final_cost = 0;
     double total_seconds = 0, build_seconds = 0, setup_seconds = 0, linearize_seconds = 0;
+    double factorization_seconds = 0;
     double linear_solver_seconds = 0, evaluate_seconds = 0, reference_seconds = 0;
     std::array<double, num_steps> step_seconds{};
     uint64_t peak_device_bytes = 0;

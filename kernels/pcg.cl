@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// Conjugate gradients whose scalars stay on the device. A sum is num_partials partials from some place
+// in `partials`, one a work-group of the kernels that made it, which every work-group adds up again in
+// the same order:
+//   rho = r . z,  curvature = p . q,  alpha = rho / curvature,  beta = rho / rho before
+// Writers: one element each; partials: one a group.
+#define LANE_WIDTH 8
+#include "lanes.clh"
+
+static inline WIDE sum_partials(global const WIDE* partials, int num_partials) {
+    WIDE sum = 0;
+    for (int i = 0; i < num_partials; ++i) sum += partials[i];
+    return sum;
+}
+
+// p = z + beta p and q = lambda d2 p; beta is 0 if is_first, whatever p held.
+KERNEL void pcg_direction(int n, int is_first, int num_partials, int rho, int rho_before,
+                          global const WIDE* restrict partials, global const WIDE* restrict z,
+                          WIDE lambda, global const WIDE* restrict d2, global WIDE* restrict p,
+                          global WIDE* restrict q) {
+    const int begin = share_begin(n), end = share_end(n);
+    const WIDE beta = is_first ? (WIDE)0
+                               : sum_partials(partials + rho, num_partials) /
+                                     sum_partials(partials + rho_before, num_partials);
+    LANES(i, begin, end) {
+        const WIDE next = z[i] + (is_first ? (WIDE)0 : beta * p[i]);
+        p[i] = next;
+        q[i] = lambda * d2[i] * next;
+    }
+}
+
+// x += alpha p, r -= alpha q; partials of x . (b + r). Without positive curvature nothing moves.
+KERNEL void pcg_step(int n, int num_partials, int rho, int curvature,
+                     global const WIDE* restrict p, global const WIDE* restrict q,
+                     global const WIDE* restrict b, global WIDE* restrict x,
+                     global WIDE* restrict r, int first_partial, global WIDE* partials,
+                     local WIDE* scratch) {
+    const int begin = share_begin(n), end = share_end(n);
+    const WIDE of_p = sum_partials(partials + curvature, num_partials);
+    const WIDE alpha = of_p > 0 ? sum_partials(partials + rho, num_partials) / of_p : (WIDE)0;
+    WIDE sum = 0;
+    LANES(i, begin, end) {
+        const WIDE next_x = x[i] + alpha * p[i];
+        const WIDE next_r = r[i] - alpha * q[i];
+        x[i] = next_x;
+        r[i] = next_r;
+        sum += next_x * (b[i] + next_r);
+    }
+    const WIDE total = GROUP_SUM(sum, scratch);
+    if (IS_FIRST_LANE) partials[first_partial + get_group_id(0)] = total;
+}

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "linear/explicit_schur.hpp"
+#include "linear/pcg_solvers.hpp"
+
+namespace clba {
+
+// pcg_schur, until a step takes more iterations than forming and factoring the Schur complement
+// would cost; explicit_schur from then on. Exact steps of a path-like scene replace hundreds of
+// iterations, while most scenes need a few. Decides by counts alone, so that equal input gives
+// equal bits.
+class AutoSolver : public LinearSolver {
+public:
+    AutoSolver(const LinearSolverOptions& options, const Problem& problem,
+               NormalEquations& equations);
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override;
+    LinearSolverKind kind() const override;
+    std::string reason() const override { return reason_; }
+
+private:
+    double break_even_iterations();
+    bool make_explicit(int num_iterations);  // false: no memory
+
+    const Problem& problem_;
+    NormalEquations& equations_;
+    PcgSchur pcg_;
+    int max_iterations_;
+    std::unique_ptr<ExplicitSchur> explicit_;
+    LinearSolver* last_ = &pcg_;        // that took a step
+    std::optional<double> break_even_;  // iterations that cost as much as an explicit step
+    int num_steps_ = 0;
+    std::string reason_;
+};
+
+}  // namespace clba

@@ -1,0 +1,241 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "linear/explicit_schur.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/error.hpp"
+#include "base/parallel.hpp"
+#include "base/stopwatch.hpp"
+#include "linear/reduced_system.hpp"
+
+namespace clba {
+namespace {
+
+// Of kernels/schur_complement.cl and schur_pairs.cl.
+constexpr uint64_t image_record_values = 32, point_record_values = 8;
+constexpr int64_t blocks_per_group = 16;
+
+template <class Value>
+Buffer upload(Queue& queue, const std::vector<Value>& values, const char* label) {
+    Buffer buffer(queue, values.size() * sizeof(Value), label);
+    buffer.write(values.data(), buffer.bytes());
+    return buffer;
+}
+
+int32_t num_columns(const Problem& problem, int32_t image) {
+    return num_pose_params + problem.cameras[problem.images[image].camera].num_params();
+}
+
+// First number of each block of pairs, and their end.
+std::vector<int64_t> block_offsets(const Problem& problem, const SchurStructure& structure) {
+    std::vector<int64_t> offsets = {0};
+    for (int32_t i = 0; i < problem.num_images(); ++i)
+        for (int64_t k = structure.row_begin[i]; k < structure.row_begin[i + 1]; ++k)
+            offsets.push_back(offsets.back() + int64_t{num_columns(problem, i)} *
+                                                   num_columns(problem, structure.columns[k]));
+    return offsets;
+}
+
+}  // namespace
+
+ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations)
+    : equations_(equations),
+      structure_(problem, equations.problem().tiles()),
+      block_offset_(block_offsets(problem, structure_)),
+      pattern_(schur_pattern(problem, equations.problem().layout(), structure_)),
+      cholesky_(pattern_, num_workers()),
+      has_shared_cameras_(equations.problem().layout().num_shared_cameras > 0) {
+    DeviceProblem& device = equations.problem();
+    Queue& queue = device.queue();
+    const ParameterLayout& layout = device.layout();
+    has_constants_ = std::any_of(layout.scale.begin(), layout.scale.end(),
+                                 [](double scale) { return !(scale > 0); });
+    if (has_shared_cameras_) {
+        list_targets(problem, pattern_);
+        values_.resize(static_cast<size_t>(cholesky_.num_values()));
+    }
+    std::vector<int32_t> rows, columns;
+    for (int32_t i = 0; i < problem.num_images(); ++i) {
+        for (int64_t k = structure_.row_begin[i]; k < structure_.row_begin[i + 1]; ++k) {
+            rows.push_back(num_columns(problem, i));
+            columns.push_back(num_columns(problem, structure_.columns[k]));
+            max_columns_ = std::max(max_columns_, rows.back());
+        }
+    }
+    block_rows_ = upload(queue, rows, "blocks of S");
+    block_columns_ = upload(queue, columns, "blocks of S");
+    block_offsets_ = upload(queue, block_offset_, "blocks of S");
+    const Precision precision = device.precision();
+    blocks_ = Buffer(queue, static_cast<uint64_t>(block_offset_.back()) * wide_bytes(precision),
+                     "the Schur complement");
+    int64_t most_records = 0;
+    for (SchurStructure::ChunkPairs& chunk : structure_.chunks) {
+        most_records = std::max(most_records, chunk.num_records);
+        ChunkBuffers& buffers = chunk_buffers_.emplace_back();
+        buffers.block_pairs = upload(queue, chunk.block_pairs, "pairs of observations");
+        buffers.pairs = upload(queue, chunk.pairs, "pairs of observations");
+        chunk.pairs = {};
+        chunk.block_pairs = {};
+    }
+    const auto records = static_cast<uint64_t>(most_records);
+    image_records_ = Buffer(queue, records * image_record_values * real_bytes(precision),
+                            "records of observations");
+    point_records_ = Buffer(queue, records * point_record_values * wide_bytes(precision),
+                            "records of observations");
+    b_ = device.make_reduced_vector("the reduced camera system");
+    step_ = device.make_reduced_vector("the step");
+    damping_.resize(static_cast<size_t>(layout.num_f));
+    right_side_.resize(static_cast<size_t>(layout.num_f));
+}
+
+// Where an image has its camera to itself its block of S is the block of its pairs; else pose and
+// intrinsics are parts of two.
+void ExplicitSchur::list_targets(const Problem& problem, const BlockPattern& pattern) {
+    const ParameterLayout& layout = equations_.problem().layout();
+    std::vector<int32_t> shared_block(problem.cameras.size(), -1);
+    for (int32_t b = 0; b < pattern.num_blocks(); ++b)
+        if (layout.blocks[b].image < 0) shared_block[layout.blocks[b].camera] = b;
+    struct Part {
+        int32_t block, first, size;
+    };
+    const auto parts_of = [&](int32_t image) {
+        const int32_t shared = shared_block[problem.images[image].camera];
+        const int32_t columns = num_columns(problem, image);
+        std::vector<Part> parts = {{image, 0, shared < 0 ? columns : num_pose_params}};
+        if (shared >= 0) parts.push_back({shared, num_pose_params, columns - num_pose_params});
+        return parts;
+    };
+    for (int32_t i = 0; i < problem.num_images(); ++i) {
+        for (int64_t k = structure_.row_begin[i]; k < structure_.row_begin[i + 1]; ++k) {
+            const int32_t j = structure_.columns[k], stride = num_columns(problem, j);
+            for (const Part& a : parts_of(i)) {
+                for (const Part& b : parts_of(j)) {
+                    // A block of an image with itself has its upper triangle in its lower one.
+                    if (i == j && a.block < b.block) continue;
+                    const int32_t row = std::max(a.block, b.block);
+                    const auto begin = pattern.columns.begin() + pattern.row_begin[row];
+                    const auto end = pattern.columns.begin() + pattern.row_begin[row + 1];
+                    const auto entry = std::lower_bound(begin, end, std::min(a.block, b.block)) -
+                                       pattern.columns.begin();
+                    targets_.push_back({block_offset_[k] + int64_t{a.first} * stride + b.first,
+                                        cholesky_.value_offset(entry), stride, a.size, b.size,
+                                        a.block < b.block, i != j && a.block == b.block});
+                }
+            }
+        }
+    }
+}
+
+void ExplicitSchur::form_blocks() {
+    DeviceProblem& device = equations_.problem();
+    Queue& queue = device.queue();
+    Jacobian& jacobian = equations_.jacobian;
+    blocks_.fill_zero();
+    const auto num_blocks = static_cast<int32_t>(structure_.num_blocks());
+    const std::string defines =
+        text(precision_defines(device.precision()), " -DMAX_COLUMNS=", max_columns_);
+    size_t index = 0;
+    for (size_t c = 0; c < device.chunks().size(); ++c) {
+        const DeviceChunk& chunk = device.chunks()[c];
+        for (size_t s = 0; s < chunk.segments.size(); ++s) {
+            const DeviceSegment& segment = chunk.segments[s];
+            device.launch(Step::preconditioner, "schur_complement.cl", "schur_records",
+                          jacobian.defines(segment), chunk, segment, device.image_records,
+                          jacobian.rows()[index++], equations_.point_factors()[c],
+                          structure_.chunks[c].first_record[s], image_records_, point_records_);
+        }
+        queue.launch(Step::preconditioner, queue.kernel("schur_pairs.cl", "schur_pairs", defines),
+                     (num_blocks + blocks_per_group - 1) / blocks_per_group, num_blocks,
+                     block_rows_, block_columns_, block_offsets_, chunk_buffers_[c].block_pairs,
+                     chunk_buffers_[c].pairs, image_records_, point_records_, blocks_);
+    }
+}
+
+// Adds lambda D^2, and leaves constants out.
+void ExplicitSchur::finish_values(double lambda, double* values) {
+    const ParameterLayout& layout = equations_.problem().layout();
+    const auto is_free = [&](int32_t scalar) { return layout.scale[scalar] > 0; };
+    for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
+        const ParameterBlock& block = layout.blocks[row];
+        for (int64_t entry = pattern_.row_begin[row];
+             has_constants_ && entry < pattern_.row_begin[row + 1]; ++entry) {
+            const ParameterBlock& other = layout.blocks[pattern_.columns[entry]];
+            double* at = values + cholesky_.value_offset(entry);
+            for (int32_t r = 0; r < block.size; ++r)
+                for (int32_t c = 0; c < other.size; ++c)
+                    if (!is_free(block.offset + r) || !is_free(other.offset + c))
+                        at[r * other.size + c] = 0;
+        }
+        double* diagonal = values + cholesky_.value_offset(pattern_.row_begin[row + 1] - 1);
+        for (int32_t k = 0; k < block.size; ++k) {
+            double& value = diagonal[k * (block.size + 1)];
+            value = is_free(block.offset + k) ? value + lambda * damping_[block.offset + k] : 1.0;
+        }
+    }
+}
+
+bool ExplicitSchur::factorize(double lambda, double& seconds) {
+    const auto timed = [&](const double* values) {
+        const Stopwatch watch;
+        const bool is_definite = cholesky_.factorize(values);
+        seconds += watch.seconds();
+        return is_definite;
+    };
+    equations_.damping().f.read(damping_.data(), damping_.size() * sizeof(double));
+    if (!has_shared_cameras_) {
+        const auto blocks = blocks_.map_update<double>();
+        finish_values(lambda, blocks.data());
+        return timed(blocks.data());
+    }
+    std::fill(values_.begin(), values_.end(), 0.0);
+    {
+        const auto blocks = blocks_.map_read<double>();
+        for (const Target& target : targets_) {
+            const double* from = blocks.data() + target.source;
+            double* to = values_.data() + target.value;
+            const int32_t stride = target.is_transposed ? target.rows : target.columns;
+            for (int32_t r = 0; r < target.rows; ++r) {
+                for (int32_t c = 0; c < target.columns; ++c) {
+                    const double value = from[r * target.source_stride + c];
+                    to[target.is_transposed ? c * stride + r : r * stride + c] += value;
+                    if (target.is_added_both_ways) to[c * stride + r] += value;
+                }
+            }
+        }
+    }
+    finish_values(lambda, values_.data());
+    return timed(values_.data());
+}
+
+LinearSolution ExplicitSchur::solve(double lambda) {
+    LinearSolution solution;
+    solution.num_iterations = 1;
+    solution.num_indefinite_blocks = equations_.factor_points(lambda);
+    if (solution.num_indefinite_blocks > 0) return solution;
+    form_blocks();
+    if (!factorize(lambda, solution.factorization_seconds)) {
+        solution.num_indefinite_blocks = 1;
+        return solution;
+    }
+    reduced_right_side(equations_, b_);
+    const size_t bytes = right_side_.size() * sizeof(double);
+    b_.f.read(right_side_.data(), bytes);
+    const ParameterLayout& layout = equations_.problem().layout();
+    for (int32_t k = 0; k < layout.num_f; ++k)
+        if (!(layout.scale[k] > 0)) right_side_[k] = 0;
+    const Stopwatch watch;
+    cholesky_.solve(right_side_.data(), right_side_.data());
+    solution.factorization_seconds += watch.seconds();
+    step_.f.write(right_side_.data(), bytes);
+    solution.is_usable = std::all_of(right_side_.begin(), right_side_.end(),
+                                     [](double x) { return std::isfinite(x); });
+    if (solution.is_usable) take_reduced_step(equations_, step_, solution);
+    return solution;
+}
+
+void ExplicitSchur::get_step(Vector& full) {
+    get_reduced_step(equations_, step_, full);
+}
+
+}  // namespace clba

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+#include <memory>
+#include <vector>
+
+#include "linear/block_cholesky.hpp"
+#include "linear/linear_solver.hpp"
+#include "linear/schur_structure.hpp"
+
+namespace clba {
+
+// The reduced camera system formed on the device, block by block, and factored on the host by a
+// block-sparse Cholesky factorisation: an exact step in WIDE.
+class ExplicitSchur : public LinearSolver {
+public:
+    ExplicitSchur(const Problem& problem, NormalEquations& equations);
+    LinearSolution solve(double lambda) override;
+    void get_step(Vector& full) override;
+    LinearSolverKind kind() const override { return LinearSolverKind::explicit_schur; }
+
+private:
+    // Part of a block of pairs that goes to a block of S.
+    struct Target {
+        int64_t source, value;  // first numbers, in blocks_ and in values_
+        int32_t source_stride, rows, columns;
+        bool is_transposed;
+        bool is_added_both_ways;  // P + P^T
+    };
+
+    void upload_structure();
+    void list_targets(const Problem& problem, const BlockPattern& pattern);
+    void form_blocks();
+    bool factorize(double lambda, double& seconds);  // adds what it took
+    void finish_values(double lambda, double* values);
+
+    NormalEquations& equations_;
+    SchurStructure structure_;
+    std::vector<int64_t> block_offset_;  // of the blocks of pairs
+    BlockPattern pattern_;
+    BlockCholesky<double> cholesky_;
+    bool has_shared_cameras_;
+    bool has_constants_;
+    std::vector<Target> targets_;  // only if there are shared cameras
+    std::vector<double> values_;   // of S, likewise
+    std::vector<double> damping_, right_side_;
+    int32_t max_columns_ = 0;
+    // On the device.
+    struct ChunkBuffers {
+        Buffer block_pairs, pairs;
+    };
+    std::vector<ChunkBuffers> chunk_buffers_;
+    Buffer block_rows_, block_columns_, block_offsets_;
+    Buffer blocks_;
+    Buffer image_records_, point_records_;  // of one chunk at a time
+    Vector b_, step_;
+};
+
+}  // namespace clba

@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "linear/jacobian.hpp"
+
+#include <algorithm>
+
+#include "base/error.hpp"
+
+namespace clba {
+namespace {
+
+// Stages of kernels/products.cl.
+constexpr int zero_stage = 1, forward_stage = 2, points_stage = 4, backward_stage = 8;
+constexpr int all_stages = zero_stage | forward_stage | points_stage | backward_stage;
+
+constexpr int sums_per_tile = 4;
+
+int triangle(int columns) {
+    return columns * (columns + 1) / 2;
+}
+
+}  // namespace
+
+Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
+    : problem_(problem),
+      queue_(problem.queue()),
+      form_(form),
+      has_loss_(loss.kind != LossKind::none) {
+    const size_t bytes = real_bytes(problem.precision());
+    int most_tiles = 0;
+    uint64_t most_sums = 0;
+    for (const DeviceChunk& chunk : problem.chunks()) {
+        most_tiles += 2 * chunk.num_tiles * static_cast<int>(chunk.segments.size());
+        for (const DeviceSegment& segment : chunk.segments) {
+            const int columns = segment.num_columns;
+            const int view_rows = 3 + (segment.whitening ? 3 : has_loss_ ? 1 : 0);
+            const int rows = form == JacobianForm::stored ? num_block_rows(columns) : view_rows;
+            rows_.emplace_back(
+                queue_,
+                static_cast<uint64_t>(segment.num_slots) * static_cast<uint64_t>(rows) * bytes,
+                "the Jacobian");
+            most_sums = std::max(most_sums, static_cast<uint64_t>(segment.num_runs) *
+                                                static_cast<uint64_t>(triangle(columns)));
+        }
+    }
+    point_real_ = problem.make_point_rows(3, bytes, "points in products");
+    // Triangles of blocks are the largest sums of a run: more than a gradient and a diagonal.
+    run_sums_ = Buffer(queue_, most_sums * wide_bytes(problem.precision()), "sums of runs");
+    host_sums_.resize(static_cast<size_t>(sums_per_tile * most_tiles));
+    tile_sums_ =
+        Buffer(queue_, host_sums_.size() * wide_bytes(problem.precision()), "sums of tiles");
+}
+
+std::string Jacobian::defines(const DeviceSegment& segment) const {
+    return text(precision_defines(problem_.precision()),
+                " -DSTORED=", form_ == JacobianForm::stored ? 1 : 0, " -DWEIGHT_ROWS=",
+                segment.whitening ? 3
+                : has_loss_       ? 1
+                                  : 0,
+                " -DMAX_CAMERA_PARAMS=", max_camera_params);
+}
+
+template <class Visit>
+void Jacobian::for_each_segment(Visit&& visit) {
+    size_t index = 0;
+    for (size_t c = 0; c < problem_.chunks().size(); ++c)
+        for (const DeviceSegment& segment : problem_.chunks()[c].segments)
+            visit(problem_.chunks()[c], segment, c, index++);
+}
+
+void Jacobian::reduce_runs(Step step, const DeviceSegment& segment, bool are_wide, int values,
+                           int first_value, Buffer& f) {
+    const std::string options =
+        text(precision_defines(problem_.precision()), " -DRUN_VALUES=", values, " -DRUN_REAL=",
+             are_wide ? wide_type(problem_.precision()) : real_type(problem_.precision()));
+    queue_.launch(step, queue_.kernel("reduce.cl", "reduce_runs", options), segment.num_blocks,
+                  segment.block_offset, segment.block_size, segment.block_column,
+                  segment.block_runs, segment.runs, first_value, run_sums_, f);
+}
+
+std::vector<Buffer>& Jacobian::product() {
+    if (product_.empty())
+        product_ = problem_.make_slot_rows(num_product_rows, real_bytes(problem_.precision()),
+                                           "a product with the Jacobian");
+    return product_;
+}
+
+std::vector<Buffer> Jacobian::blocks() {
+    std::vector<Buffer> blocks = problem_.make_slot_rows(
+        num_block_rows, real_bytes(problem_.precision()), "blocks of the Jacobian");
+    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t, size_t i) {
+        problem_.launch(Step::jacobian, "blocks.cl", "jacobian_rows", defines(segment), chunk,
+                        segment, problem_.image_records, rows_[i], blocks[i]);
+    });
+    return blocks;
+}
+
+void Jacobian::multiply(const Vector& x) {
+    for (size_t c = 0; c < point_real_.size(); ++c)
+        problem_.vectors().to_real(x.e[c], point_real_[c]);
+    product();
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            problem_.launch(Step::jx, "products.cl", "jx", defines(segment), chunk, segment,
+                            problem_.pose_offsets, problem_.intrinsics_offsets,
+                            problem_.image_records, rows_[i], x.f, point_real_[c], product_[i]);
+        });
+}
+
+double Jacobian::squared_norm(const Vector& x) {
+    multiply(x);
+    return problem_.vectors().squared_norm(product_);
+}
+
+void Jacobian::add_transposed(Vector& x) {
+    for (Buffer& e : point_real_) e.fill_zero();
+    product();
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            problem_.launch(Step::jty, "products.cl", "jty", defines(segment), chunk, segment,
+                            problem_.image_records, rows_[i], product_[i], point_real_[c],
+                            run_sums_, queue_.scratch());
+            reduce_runs(Step::jty, segment, false, segment.num_columns, 0, x.f);
+        });
+    for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().add_real(point_real_[c], x.e[c]);
+}
+
+// launch(stages, chunk, segment, c, i): all stages at once where a chunk has one segment; else the
+// stages before backward_stage see all segments first.
+template <class Launch>
+void Jacobian::launch_in_stages(Launch&& launch) {
+    size_t first = 0;
+    for (size_t c = 0; c < problem_.chunks().size(); ++c) {
+        const DeviceChunk& chunk = problem_.chunks()[c];
+        const size_t n = chunk.segments.size();
+        if (n == 1) {
+            launch(all_stages, chunk, chunk.segments[0], c, first);
+        } else if (n > 1) {
+            for (size_t s = 0; s < n; ++s)
+                launch((s == 0 ? zero_stage : 0) | forward_stage | (s == n - 1 ? points_stage : 0),
+                       chunk, chunk.segments[s], c, first + s);
+            for (size_t s = 0; s < n; ++s)
+                launch(backward_stage, chunk, chunk.segments[s], c, first + s);
+        }
+        first += n;
+    }
+}
+
+// `stages` leaves out the others of all_stages.
+void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffer>& point_factors,
+                            Vector& y) {
+    launch_in_stages([&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment,
+                         size_t c, size_t i) {
+        const int wanted = stages & of_segment;
+        if (wanted == 0) return;
+        problem_.launch(Step::schur, "products.cl", "schur_product", defines(segment), chunk,
+                        segment, wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.image_records, rows_[i], x.f, point_factors[c], point_real_[c],
+                        run_sums_, queue_.scratch());
+        if (wanted & backward_stage)
+            reduce_runs(Step::schur, segment, false, segment.num_columns, 0, y.f);
+    });
+}
+
+void Jacobian::add_schur_product(const Vector& x, const std::vector<Buffer>& point_factors,
+                                 Vector& y) {
+    schur_stages(all_stages, x, point_factors, y);
+}
+
+void Jacobian::eliminate(const std::vector<Buffer>& point_gradient,
+                         const std::vector<Buffer>& point_factors, Vector& y) {
+    if (!zero_.f) zero_ = problem_.make_reduced_vector("elimination");
+    for (size_t c = 0; c < point_real_.size(); ++c) point_real_[c].copy_from(point_gradient[c]);
+    y.fill_zero();
+    schur_stages(points_stage | backward_stage, zero_, point_factors, y);
+}
+
+BackSubstitution Jacobian::back_substitute(const Vector& step,
+                                           const std::vector<Buffer>& point_gradient,
+                                           const std::vector<Buffer>& point_factors) {
+    int32_t num_tiles = 0;
+    launch_in_stages([&](int stages, const DeviceChunk& chunk, const DeviceSegment& segment,
+                         size_t c, size_t i) {
+        problem_.launch(Step::schur, "products.cl", "back_substitute", defines(segment), chunk,
+                        segment, stages, problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.image_records, rows_[i], step.f, point_factors[c],
+                        point_gradient[c], problem_.state.points[c], point_real_[c],
+                        problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
+        // A later stage of the same segment takes up where an earlier one left the points.
+        num_tiles += chunk.num_tiles;
+    });
+    BackSubstitution result;
+    const auto n = static_cast<size_t>(sums_per_tile * num_tiles);
+    problem_.read_wide(tile_sums_, host_sums_, n);
+    for (size_t i = 0; i < n; i += sums_per_tile) {
+        result.squared_norm += host_sums_[i];
+        result.slope += host_sums_[i + 1];
+        result.squared_point_steps += host_sums_[i + 2];
+    }
+    return result;
+}
+
+void Jacobian::sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer& matrices) {
+    matrices.fill_zero();
+    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
+                         size_t i) {
+        const Buffer* factors = point_factors ? &(*point_factors)[c] : nullptr;
+        problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(segment), chunk,
+                        segment, problem_.image_records, rows_[i], factors, run_sums_,
+                        queue_.scratch());
+        queue_.launch(Step::preconditioner,
+                      queue_.kernel("reduce.cl", "reduce_run_blocks",
+                                    text(precision_defines(problem_.precision()),
+                                         " -DCOLUMNS=", segment.num_columns)),
+                      segment.num_blocks, segment.block_size, segment.block_column,
+                      segment.block_runs, segment.runs, segment.matrix_offset, run_sums_, matrices);
+    });
+}
+
+void Jacobian::image_blocks(Buffer& u) {
+    sum_image_blocks(nullptr, u);
+}
+
+void Jacobian::schur_blocks(const std::vector<Buffer>& point_factors, Buffer& blocks) {
+    sum_image_blocks(&point_factors, blocks);
+}
+
+}  // namespace clba
