@@ -4,6 +4,7 @@
 // Scalars of scale 0 are constant: they are left out of A, and their rows and columns of G are 0.
 #define LANE_WIDTH 8
 #include "lanes.clh"
+#include "point_root.clh"
 
 #ifndef MAX_BLOCK
 #define MAX_BLOCK 14
@@ -79,6 +80,8 @@ KERNEL void point_damping(WIDE smallest, WIDE largest, int num_point_slots,
     }
 }
 
+#define PIVOT_SHARE (8 * MAX_BLOCK * WIDE_EPSILON)
+
 // G of A = (packed lower triangle at matrix_offset) + lambda D^2, packed likewise; all 0 and counted
 // if A is not positive definite.
 // Writers: one block each; failures: one count a group.
@@ -107,11 +110,16 @@ KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
                 const bool both_free = is_free && scale[offset + k] > 0;
                 WIDE value = both_free ? in[at + k] : (WIDE)0;
                 if (k == row) value = is_free ? value + lambda * d2[offset + row] : (WIDE)1;
+                const WIDE whole = value;
                 const int above = k * (k + 1) / 2;
                 for (int m = 0; m < k; ++m) value -= a[at + m] * a[above + m];
                 if (k < row) {
                     a[at + k] = value / a[above + k];
                 } else {
+#ifdef NO_DOUBLE
+                    // What rounding takes from a pivot only makes a preconditioner a little worse.
+                    value = value < PIVOT_SHARE * whole ? PIVOT_SHARE * whole : value;
+#endif
                     is_definite = is_definite && value > 0 && isfinite(value);
                     a[at + k] = sqrt(is_definite ? value : (WIDE)1);
                 }
@@ -166,6 +174,20 @@ KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int nu
         d2[2] = damping(scales[2], v[5], smallest, largest);
 #endif
         const bool free0 = scales[0] > 0, free1 = scales[1] > 0, free2 = scales[2] > 0;
+        // is_definite is false for NaN and for infinities too.
+#ifdef NO_DOUBLE
+        // sqrt(lambda) D as three more rows of J_E.
+        WIDE l[6] = {free0 ? roots[i] : (WIDE)0,         free1 ? roots[n + i] : (WIDE)0,
+                     free1 ? roots[2 * n + i] : (WIDE)0, free2 ? roots[3 * n + i] : (WIDE)0,
+                     free2 ? roots[4 * n + i] : (WIDE)0, free2 ? roots[5 * n + i] : (WIDE)0};
+        add_row_to_root(l, free0 ? sqrt(lambda * d2[0]) : (WIDE)1, 0, 0);
+        add_row_to_root(l, 0, free1 ? sqrt(lambda * d2[1]) : (WIDE)1, 0);
+        add_row_to_root(l, 0, 0, free2 ? sqrt(lambda * d2[2]) : (WIDE)1);
+        const REAL g00 = 1 / l[0], g11 = 1 / l[2], g22 = 1 / l[5];
+        const REAL l10 = l[1] * g00, l20 = l[3] * g00, l21 = l[4] * g11;
+        const REAL g10 = -l10 * g11, g21 = -l21 * g22, g20 = (l21 * l10 - l20) * g22;
+        const bool is_definite = l[0] > 0 && l[2] > 0 && l[5] > 0 && l[0] + l[2] + l[5] < INFINITY;
+#else
         const WIDE a00 = free0 ? v[0] + lambda * d2[0] : (WIDE)1;
         const WIDE a10 = free0 && free1 ? v[1] : (WIDE)0;
         const WIDE a11 = free1 ? v[2] + lambda * d2[1] : (WIDE)1;
@@ -181,8 +203,8 @@ KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int nu
         const REAL g00 = 1 / sqrt((REAL)a00), g11 = 1 / sqrt((REAL)p1), g22 = 1 / sqrt((REAL)p2);
         const REAL g10 = -(REAL)l10 * g11, g21 = -(REAL)l21 * g22;
         const REAL g20 = (REAL)(l21 * l10 - l20) * g22;
-        // False for NaN and for infinities too.
         const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
+#endif
         failed += is_definite ? (WIDE)0 : (WIDE)1;
         factors[i] = is_definite && free0 ? g00 : (REAL)0;
         factors[n + i] = is_definite && free0 && free1 ? g10 : (REAL)0;

@@ -9,11 +9,12 @@
 #include "tiles.clh"
 #include "observation.clh"
 #include "jacobian_layout.clh"
+#include "point_root.clh"
 
 #define ZERO 1    // of the sums of a tile
 #define RUNS 2    // sums over its runs
 #define FINISH 4  // what is made of them; several segments share one FINISH
-#define POINT_SUMS 9  // V: xx, yx, yy, zx, zy, zz, then J_E^T r
+#define POINT_SUMS 9  // V, or its root with NO_DOUBLE: xx, yx, yy, zx, zy, zz, then J_E^T r
 
 // V = L L^T of a positive semidefinite V: where a pivot is lost to rounding, its column is 0.
 static inline void cholesky_root(const WIDE* v, WIDE* l) {
@@ -36,7 +37,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                       global const WIDE* restrict xy,         // run by run: 2 rows of its slots
                       global const WIDE* restrict whitening,  // 3 rows of its slots, or NULL
                       global const WIDE* restrict images,     // IMAGE_RECORD an image
-                      global const WIDE* restrict points,     // 3 rows
+                      global const WIDE* restrict points,     // 3 rows a part (positions.clh)
                       WIDE loss_scale,
                       global const WIDE* restrict point_scale,  // 3 rows, 0: constant; or NULL
                       global REAL* restrict rows,
@@ -50,9 +51,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
     global WIDE* sums = point_sums + (long)POINT_SUMS * point_capacity * get_group_id(0);
     for (int tile = get_group_id(0); tile < num_tiles; tile += get_num_groups(0)) {
         const int num_points = tile_num_points[tile];
-        global const WIDE* px = points + tile_points[tile];
-        global const WIDE* py = px + num_point_slots;
-        global const WIDE* pz = py + num_point_slots;
+        global const WIDE* of_tile = points + tile_points[tile];
         LANES_MEET();
         if (stages & ZERO) {
             for (int k = 0; k < POINT_SUMS; ++k) {
@@ -77,7 +76,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
             LANES_MEET();
             LANES(l, 0, n) {
                 const int i = point[l];
-                const view_t p = view(&image, px[i], py[i], pz[i]);
+                const view_t p = view(&image, of_tile, num_point_slots, i);
                 const bool is_real = i < num_points;
                 WIDE rx, ry, d[4], b[2 * CAMERA_PARAMS];
                 camera_pixel_derivatives(image.theta, p.u, p.v, &rx, &ry, d, b);
@@ -170,12 +169,22 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 out[3 * n + l] = (REAL)weight;
 #endif
 #endif
+#ifdef NO_DOUBLE
+                WIDE root[6];
+#pragma unroll
+                for (int k = 0; k < 6; ++k) root[k] = sums[k * point_capacity + i];
+                add_row_to_root(root, e0, e1, e2);
+                add_row_to_root(root, h0, h1, h2);
+#pragma unroll
+                for (int k = 0; k < 6; ++k) sums[k * point_capacity + i] = root[k];
+#else
                 sums[i] += e0 * e0 + h0 * h0;
                 sums[point_capacity + i] += e1 * e0 + h1 * h0;
                 sums[2 * point_capacity + i] += e1 * e1 + h1 * h1;
                 sums[3 * point_capacity + i] += e2 * e0 + h2 * h0;
                 sums[4 * point_capacity + i] += e2 * e1 + h2 * h1;
                 sums[5 * point_capacity + i] += e2 * e2 + h2 * h2;
+#endif
                 sums[6 * point_capacity + i] += e0 * rx + h0 * ry;
                 sums[7 * point_capacity + i] += e1 * rx + h1 * ry;
                 sums[8 * point_capacity + i] += e2 * rx + h2 * ry;
@@ -199,7 +208,12 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 WIDE v[6], root[6];
 #pragma unroll
                 for (int k = 0; k < 6; ++k) v[k] = sums[k * point_capacity + i];
+#ifdef NO_DOUBLE
+#pragma unroll
+                for (int k = 0; k < 6; ++k) root[k] = v[k];
+#else
                 cholesky_root(v, root);
+#endif
 #pragma unroll
                 for (int k = 0; k < 6; ++k) roots[k * num_point_slots + i] = (REAL)root[k];
 #pragma unroll
@@ -212,7 +226,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 }
             }
         }
-        const WIDE of_tile = GROUP_MAX(largest, scratch);
-        if (stages & FINISH && IS_FIRST_LANE) tile_max[first_tile + tile] = of_tile;
+        const WIDE most = GROUP_MAX(largest, scratch);
+        if (stages & FINISH && IS_FIRST_LANE) tile_max[first_tile + tile] = most;
     }
 }

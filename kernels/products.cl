@@ -6,6 +6,7 @@
 #include "lanes.clh"
 #include "tiles.clh"
 #include "jacobian.clh"
+#include "positions.clh"
 
 // Where the parameters of images are in an F vector, and what kernels read of images (state.cl).
 #define IMAGES                                                                            \
@@ -217,15 +218,16 @@ KERNEL void back_substitute(TILES, int stages, IMAGES, global const REAL* restri
         global WIDE* to = trial + tile_points[tile];
         LANES(i, 0, num_points) {
             const int iy = num_point_slots + i, iz = 2 * num_point_slots + i;
+            const int low = 3 * num_point_slots;
             REAL z0, z1, z2;
             apply_point_factor(factor, num_point_slots, i, -g[i] - u.x[i], -g[iy] - u.y[i],
                                -g[iz] - u.z[i], &z0, &z1, &z2);
             u.x[i] = z0;
             u.y[i] = z1;
             u.z[i] = z2;
-            to[i] = at[i] + z0;
-            to[iy] = at[iy] + z1;
-            to[iz] = at[iz] + z2;
+            move_position(at, to, i, low, z0);
+            move_position(at, to, iy, low, z1);
+            move_position(at, to, iz, low, z2);
             slope += (WIDE)g[i] * z0 + (WIDE)g[iy] * z1 + (WIDE)g[iz] * z2;
             step_norm2 += (WIDE)z0 * z0 + (WIDE)z1 * z1 + (WIDE)z2 * z2;
             norm2 += at[i] * at[i] + at[iy] * at[iy] + at[iz] * at[iz];

@@ -11,7 +11,7 @@ KERNEL void residual(TILES,
                      global const WIDE* restrict xy,         // run by run: 2 rows of its slots
                      global const WIDE* restrict whitening,  // 3 rows of its slots, or NULL
                      global const WIDE* restrict images,     // IMAGE_RECORD an image
-                     global const WIDE* restrict points,     // 3 rows
+                     global const WIDE* restrict points,     // 3 rows a part (positions.clh)
                      WIDE loss_scale,
                      global WIDE* restrict residuals,        // 2 rows of its slots, or NULL
                      int first_sum,
@@ -19,10 +19,8 @@ KERNEL void residual(TILES,
                      local WIDE* scratch) {
     const int tile = get_group_id(0);
     const int num_points = tile_num_points[tile];
-    global const WIDE* px = points + tile_points[tile];
-    global const WIDE* py = px + num_point_slots;
-    global const WIDE* pz = py + num_point_slots;
-    WIDE cost = 0, behind = 0, singular = 0;
+    global const WIDE* of_tile = points + tile_points[tile];
+    WIDE cost = 0, cost_low = 0, behind = 0, singular = 0;
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const image_t image = load_image(images + IMAGE_RECORD * run_image[run]);
         const int first = run_slots[run];
@@ -33,9 +31,10 @@ KERNEL void residual(TILES,
         global const WIDE* factor = whitening + 3 * (long)first;
 #endif
         global WIDE* out = residuals + 2 * (long)first;
+        WIDE of_run = 0;
         LANES(l, 0, n) {
             const int i = point[l];
-            const view_t p = view(&image, px[i], py[i], pz[i]);
+            const view_t p = view(&image, of_tile, num_point_slots, i);
             const bool is_real = i < num_points;
             WIDE rx, ry;
             camera_pixel(image.theta, p.u, p.v, &rx, &ry);
@@ -49,7 +48,7 @@ KERNEL void residual(TILES,
             ry = is_real ? ry : (WIDE)0;
             WIDE rho, slope;
             loss(rx * rx + ry * ry, loss_scale, &rho, &slope);
-            cost += rho;
+            of_run += rho;
             behind += is_real && p.scale < 0 ? (WIDE)1 : (WIDE)0;
             singular += is_real && p.is_singular ? (WIDE)1 : (WIDE)0;
             if (residuals) {
@@ -58,8 +57,12 @@ KERNEL void residual(TILES,
                 out[n + l] = weight * ry;
             }
         }
+        // With its rounding errors (Kahan, Babuska, Neumaier): no term is negative.
+        const WIDE sum = cost + of_run;
+        cost_low += cost >= of_run ? (cost - sum) + of_run : (of_run - sum) + cost;
+        cost = sum;
     }
-    const WIDE group_cost = GROUP_SUM(cost, scratch);
+    const WIDE group_cost = GROUP_SUM(cost + cost_low, scratch);
     const WIDE group_behind = GROUP_SUM(behind, scratch);
     const WIDE group_singular = GROUP_SUM(singular, scratch);
     if (IS_FIRST_LANE) {

@@ -694,7 +694,8 @@ TEST_F(Evaluating, MixedDiffersFromDoubleByRounding) {
 TEST_F(Evaluating, Products) {
     const std::vector<double> x = argument(m), y = argument(2 * n);
     std::vector<double> jx(2 * n), jty(m);
-    for (const int32_t precision : {CLBA_PRECISION_DOUBLE, CLBA_PRECISION_MIXED}) {
+    for (const int32_t precision :
+         {CLBA_PRECISION_DOUBLE, CLBA_PRECISION_MIXED, CLBA_PRECISION_SINGLE}) {
         evaluate(precision);
         Sums expected_jx(2 * n), expected_jty(m);
         entries([&](size_t row, size_t k, double value) {
@@ -800,7 +801,7 @@ TEST_F(Evaluating, RefusesWhatItCannotCompute) {
     };
     EXPECT_TRUE(refused(multiply(0, 1, 0), {"product = 0"}));
     EXPECT_TRUE(refused(multiply(4, 1, 0), {"product = 4"}));
-    EXPECT_TRUE(refused(multiply(1, 3, 0), {"precision = 3"}));
+    EXPECT_TRUE(refused(multiply(1, 4, 0), {"precision = 4"}));
     for (double bad : {-1.0, nan, infinity})
         EXPECT_TRUE(refused(multiply(CLBA_PRODUCT_BLOCK_JACOBI, 1, bad), {"lambda"}));
     EXPECT_TRUE(

@@ -48,6 +48,8 @@ TEST(Names, OfEveryValueAndNoOther) {
     EXPECT_STREQ(clba_damping_name(CLBA_DAMPING_MARQUARDT), "marquardt");
     EXPECT_STREQ(clba_damping_name(CLBA_DAMPING_LEVENBERG), "levenberg");
     EXPECT_STREQ(clba_damping_name(CLBA_DAMPING_UNCERTAINTY), "uncertainty");
+    EXPECT_STREQ(clba_precision_name(CLBA_PRECISION_AUTO), "auto");
+    EXPECT_STREQ(clba_precision_name(CLBA_PRECISION_SINGLE), "single");
     EXPECT_STREQ(clba_precision_name(CLBA_PRECISION_DOUBLE), "double");
     EXPECT_STREQ(clba_precision_name(CLBA_PRECISION_MIXED), "mixed");
     EXPECT_STREQ(clba_loss_name(CLBA_LOSS_NONE), "none");

@@ -75,6 +75,36 @@ INSTANTIATE_TEST_SUITE_P(
                     RealProblem{"real/strecha-Herz-Jesus-P25", 28309.891, true},
                     RealProblem{"real/strecha-fountain-P11", 8278.65767, true}));
 
+class DataIndex : public testing::TestWithParam<const char*> {};
+
+// To 1e-4 or lower, from the same start in as many iterations.
+TEST_P(DataIndex, SinglePrecisionEndsAtTheCostOfDouble) {
+    REQUIRE_DATA(GetParam());
+    const Problem start = read_bal(data_file(GetParam()));
+    MinimizerOptions options;
+    options.linear_solver.kind = LinearSolverKind::automatic;
+    Problem problem = start;
+    const double expected =
+        run(problem, options, Precision::double_precision).reference_final_cost;
+    problem = start;
+    const Summary summary = run(problem, options, Precision::single);
+    EXPECT_LE(summary.reference_final_cost, expected * (1 + 1e-4)) << summary.message;
+    EXPECT_NEAR(summary.final_cost, summary.reference_final_cost,
+                4e-5 * summary.reference_final_cost);
+}
+
+// fakepile has gross outliers, without a robust loss many minima.
+INSTANTIATE_TEST_SUITE_P(
+    Bal, DataIndex,
+    testing::Values("bal/problem-16-22106-pre", "bal/problem-21-11315-pre",
+                    "bal/problem-49-7776-pre", "real/colmap-gtsfm_set1_lund_door",
+                    "real/colmap-softmurata", "real/dbat-roma-60", "real/fakepile-47",
+                    "real/kitti-2011_09_30_drive_0027-stereo-deadreckoned",
+                    "real/libmv-problem_02", "real/malaga-170-gtpose-clean",
+                    "real/olsson-Cherub", "real/olsson-Cherub-perturbed",
+                    "real/olsson-De_Guerre-perturbed", "real/strecha-Herz-Jesus-P25",
+                    "real/strecha-fountain-P11"));
+
 struct Method {
     LinearSolverKind kind;
     Preconditioner preconditioner;

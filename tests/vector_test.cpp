@@ -36,7 +36,7 @@ protected:
         const auto context = test::test_context();
         test::set_shape(*context, GetParam());
         queue_ = std::make_unique<Queue>(context);
-        vectors_ = std::make_unique<VectorOperations>(*queue_, "float");
+        vectors_ = std::make_unique<VectorOperations>(*queue_, Precision::mixed);
     }
     void TearDown() override {
         vectors_.reset();

@@ -66,7 +66,7 @@ typedef struct clba_device_info {
     uint32_t struct_size;
     int32_t index;      /* position in the list of all devices of all platforms */
     int32_t type;       /* CLBA_DEVICE_CPU, ... */
-    int32_t has_double; /* 1: fp64 in kernels, which every precision of this version needs */
+    int32_t has_double; /* 1: fp64 in kernels, which the precisions double and mixed need */
     int32_t compute_units;
     int32_t has_unified_memory; /* 1: shares its memory with the host; transfers are mappings */
     uint64_t global_memory_bytes;
@@ -268,9 +268,13 @@ enum {
  * c_i */
 enum { CLBA_DAMPING_MARQUARDT = 1, CLBA_DAMPING_LEVENBERG = 2, CLBA_DAMPING_UNCERTAINTY = 3 };
 enum {
+    CLBA_PRECISION_AUTO = 0,   /* mixed where the device has fp64, else single; solves alone */
     CLBA_PRECISION_DOUBLE = 1, /* fp64 throughout */
-    CLBA_PRECISION_MIXED = 2   /* fp32 Jacobian and matrix products; state, residuals, cost,
+    CLBA_PRECISION_MIXED = 2,  /* fp32 Jacobian and matrix products; state, residuals, cost,
                                   gradient and long sums in fp64 */
+    CLBA_PRECISION_SINGLE = 3  /* no fp64 on the device: fp32 throughout, but points and camera
+                                  centres in pairs of floats, so that neither small steps nor
+                                  coordinates far from the origin cost digits */
 };
 /* What the device keeps of the Jacobian for the products of conjugate gradients. */
 enum {
@@ -312,7 +316,7 @@ typedef struct clba_solver_options {
     int32_t linear_solver;                     /* AUTO */
     int32_t preconditioner;                    /* DEFAULT */
     int32_t damping;                           /* MARQUARDT */
-    int32_t precision;                         /* MIXED */
+    int32_t precision;                         /* AUTO */
     int32_t max_num_iterations;                /* >= 0; 50 */
     int32_t max_linear_solver_iterations;      /* > 0; 500 */
     int32_t min_linear_solver_iterations;      /* >= 0; 0 */

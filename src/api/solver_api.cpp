@@ -21,7 +21,7 @@ clba_solver_options default_solver_options() {
     options.linear_solver = CLBA_LINEAR_SOLVER_AUTO;
     options.preconditioner = CLBA_PRECONDITIONER_DEFAULT;
     options.damping = CLBA_DAMPING_MARQUARDT;
-    options.precision = CLBA_PRECISION_MIXED;
+    options.precision = CLBA_PRECISION_AUTO;
     options.max_num_iterations = defaults.max_iterations;
     options.max_linear_solver_iterations = defaults.linear_solver.max_iterations;
     options.min_linear_solver_iterations = defaults.linear_solver.min_iterations;
@@ -81,9 +81,19 @@ double default_eta(const LinearSolverOptions& options) {
     return options.preconditioner == Preconditioner::block_jacobi ? 1e-2 : 0.1;
 }
 
+// Of an evaluation or a product.
 Precision checked_precision(int32_t precision) {
     require_named(clba_precision_name(precision), "precision", precision);
+    require(precision != CLBA_PRECISION_AUTO, "precision = ", precision,
+            ", but auto is for solves alone; name the one that is wanted");
     return static_cast<Precision>(precision);
+}
+
+Precision used_precision(int32_t given, const Context& context) {
+    require_named(clba_precision_name(given), "precision", given);
+    if (given == CLBA_PRECISION_AUTO)
+        return context.device().has_double ? Precision::mixed : Precision::single;
+    return static_cast<Precision>(given);
 }
 
 MinimizerOptions minimizer_options(const clba_solver_options& given) {
@@ -267,7 +277,8 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     Evaluator evaluator(device, problem);
     std::vector<Buffer> residuals;
     if (request.residuals)
-        residuals = device.make_slot_rows(Jacobian::num_product_rows, sizeof(double), "residuals");
+        residuals = device.make_slot_rows(Jacobian::num_product_rows,
+                                          wide_bytes(device.precision()), "residuals");
     const CostEvaluation evaluation =
         evaluator.cost(device.state, request.residuals ? &residuals : nullptr);
     request.cost = evaluation.cost;
@@ -276,7 +287,9 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     std::vector<double> host_residuals, gradient;
     if (request.residuals) {
         host_residuals.resize(2 * static_cast<size_t>(problem.num_observations()));
-        download_rows<double>(device, residuals, host_residuals.data());
+        with_wide(device.precision(), [&](auto wide) {
+            download_rows<decltype(wide)>(device, residuals, host_residuals.data());
+        });
     }
     const bool wants_jacobian = request.jacobian_images || request.jacobian_points;
     reference::Jacobian jacobian;
@@ -400,10 +413,14 @@ const char* clba_damping_name(int32_t damping) {
 
 const char* clba_precision_name(int32_t precision) {
     switch (precision) {
+        case CLBA_PRECISION_AUTO:
+            return "auto";
         case CLBA_PRECISION_DOUBLE:
             return "double";
         case CLBA_PRECISION_MIXED:
             return "mixed";
+        case CLBA_PRECISION_SINGLE:
+            return "single";
         default:
             return nullptr;
     }
@@ -434,7 +451,7 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
         require_pointer(context, "context");
         const clba_solver_options given = copied_in(options, default_solver_options(), "options");
         MinimizerOptions internal = minimizer_options(given);
-        const Precision precision = checked_precision(given.precision);
+        const Precision precision = used_precision(given.precision, *context->context);
         if (given.on_iteration)
             internal.on_iteration = [&given](const IterationRow& row) {
                 const clba_iteration out = public_row(row);

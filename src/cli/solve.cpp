@@ -111,7 +111,7 @@ ExitCode solve(const SolveArguments& arguments) {
         run_solver(problem.get(), context.get(), arguments.options, arguments.quiet);
     write_states(problem.get(), arguments);
     const double median =
-        median_residual(problem.get(), context.get(), arguments.options.precision);
+        median_residual(problem.get(), context.get(), summary_of(result.get()).precision);
     Json json = summary_json(arguments, problem.get(), result.get(), median);
     write_json(arguments.json, json);
     if (!arguments.quiet)
@@ -154,7 +154,8 @@ void add_solver_options(CLI::App& command, SolveArguments& arguments) {
     add_choice(command, "--preconditioner", options.preconditioner, clba_preconditioner_name,
                "of the conjugate gradients");
     add_choice(command, "--precision", options.precision, clba_precision_name,
-               "mixed: fp32 matrix products, all else in fp64");
+               "mixed: fp32 matrix products, all else in fp64; single: no fp64 at all; auto: mixed "
+               "where the device has fp64, else single");
     add_choice(command, "--jacobian", options.jacobian, clba_jacobian_name,
                "what the device keeps of the Jacobian");
     add_choice(command, "--damping", options.damping, clba_damping_name,

@@ -80,7 +80,11 @@ void Queue::set_argument(Kernel& kernel, unsigned index, int32_t value) {
 }
 
 void Queue::set_argument(Kernel& kernel, unsigned index, double value) {
-    set_bytes(kernel, index, sizeof value, &value);
+    const auto rounded = static_cast<float>(value);
+    if (passes_floats_)
+        set_bytes(kernel, index, sizeof rounded, &rounded);
+    else
+        set_bytes(kernel, index, sizeof value, &value);
 }
 
 void Queue::enqueue(Step step, Kernel& kernel, int64_t groups) {

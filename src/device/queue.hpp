@@ -46,6 +46,9 @@ public:
     Kernel& kernel(const std::string& path, const std::string& name, const std::string& defines,
                    const std::string& camera_model_path = "");
 
+    // double arguments are passed as floats from now on: for kernels that know no double.
+    void pass_floats() { passes_floats_ = true; }
+
     // Runs `groups` work-groups of the tuned size; none for 0. Buffers, scalars and Scratch are
     // passed in the kernel's order; a nullptr Buffer* passes NULL.
     template <class... Arguments>
@@ -83,6 +86,7 @@ private:
     std::shared_ptr<MemoryAccount> memory_;
     _cl_command_queue* queue_ = nullptr;
     bool has_profiling_ = false;
+    bool passes_floats_ = false;
     std::map<std::string, Kernel> kernels_;
     std::vector<std::pair<Step, _cl_event*>> events_;
     std::array<double, num_steps> step_seconds_{};

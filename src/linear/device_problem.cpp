@@ -29,28 +29,85 @@ void for_slots(int64_t num_slots, Visit&& visit) {
 void require_double(const Context& context) {
     if (!context.device().has_double)
         fail(Status::no_device, context.device().name,
-             " has no double precision, which the precisions double and mixed need");
+             " has no double precision, which the precisions double and mixed need; precision "
+             "single does without");
+}
+
+// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
+void split(double coordinate, float* parts, int64_t low) {
+    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is volatile.
+    const volatile float high = static_cast<float>(coordinate);
+    parts[0] = high;
+    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
+}
+// What the device did not move keeps the digits that it had no room for.
+void join(const float* parts, int64_t low, double& coordinate) {
+    float before[2];
+    split(coordinate, before, 1);
+    if (parts[0] != before[0] || parts[low] != before[1])
+        coordinate = static_cast<double>(parts[0]) + static_cast<double>(parts[low]);
+}
+void split(double coordinate, double* parts, int64_t) {
+    parts[0] = coordinate;
+}
+void join(const double* parts, int64_t, double& coordinate) {
+    coordinate = parts[0];
+}
+
+void upload_pose(const Pose& pose, double* values) {
+    std::copy(pose.rotation.begin(), pose.rotation.end(), values);
+    std::copy(pose.translation.begin(), pose.translation.end(), values + 4);
+}
+void download_pose(const double* values, Pose& pose) {
+    std::copy_n(values, 4, pose.rotation.begin());
+    std::copy_n(values + 4, 3, pose.translation.begin());
+}
+
+void upload_pose(const Pose& pose, float* values) {
+    std::transform(pose.rotation.begin(), pose.rotation.end(), values,
+                   [](double x) { return static_cast<float>(x); });
+    const Point center = camera_center(pose);
+    for (int k = 0; k < 3; ++k) split(center[k], values + 4 + k, 3);
+}
+void download_pose(const float* values, Pose& pose) {
+    std::array<float, 10> before;
+    upload_pose(pose, before.data());
+    if (std::equal(before.begin(), before.end(), values)) return;
+    Point center = camera_center(pose);
+    for (int k = 0; k < 3; ++k) join(values + 4 + k, 3, center[k]);
+    if (!std::equal(values, values + 4, before.begin()))
+        pose.rotation = normalized({values[0], values[1], values[2], values[3]});
+    const auto r = rotation_matrix(pose.rotation);
+    for (int k = 0; k < 3; ++k)
+        pose.translation[k] =
+            -(r[3 * k] * center[0] + r[3 * k + 1] * center[1] + r[3 * k + 2] * center[2]);
 }
 
 }  // namespace
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
                              Precision precision)
-    : queue_((require_double(*context), context)),
+    : queue_(context),
       precision_(precision),
       layout_(problem),
       tiles_(problem, layout_, tile_options(*context, precision)),
-      vectors_(queue_, real_type(precision)),
+      vectors_(queue_, precision),
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),
       num_cameras_(problem.num_cameras()),
       num_points_(problem.num_points()) {
+    if (precision == Precision::single)
+        queue_.pass_floats();
+    else
+        require_double(*context);
     upload_structure(problem);
     state = make_state();
     trial = make_state();
-    image_records = Buffer(
-        queue_, static_cast<uint64_t>(num_images_) * (12 + max_camera_params) * sizeof(double),
-        "image records");
+    image_records =
+        Buffer(queue_,
+               static_cast<uint64_t>(num_images_) * wide_bytes(precision) *
+                   static_cast<uint64_t>(9 + 3 * position_parts(precision) + max_camera_params),
+               "image records");
 }
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
@@ -70,6 +127,19 @@ Buffer DeviceProblem::upload_values(const std::vector<Value>& values, const char
     return buffer;
 }
 
+Buffer DeviceProblem::upload_wide(const std::vector<double>& values, const char* label) {
+    Buffer buffer(queue_, values.size() * wide_bytes(precision_), label);
+    write_wide(values, buffer);
+    return buffer;
+}
+
+void DeviceProblem::write_wide(const std::vector<double>& values, Buffer& buffer) const {
+    for_wide([&](auto wide) {
+        const std::vector<decltype(wide)> converted(values.begin(), values.end());
+        buffer.write(converted.data(), buffer.bytes());
+    });
+}
+
 void DeviceProblem::upload_structure(const Problem& problem) {
     std::vector<int32_t> image_camera, image_intrinsics, camera_num_params;
     for (const Image& image : problem.images) {
@@ -79,7 +149,7 @@ void DeviceProblem::upload_structure(const Problem& problem) {
     for (const Camera& camera : problem.cameras) camera_num_params.push_back(camera.num_params());
     pose_offsets = upload_values(layout_.pose_offset, "pose offsets");
     intrinsics_offsets = upload_values(image_intrinsics, "intrinsics offsets");
-    scale_f = upload_values(layout_.scale, "image-camera scales");
+    scale_f = upload_wide(layout_.scale, "image-camera scales");
     image_camera_ = upload_values(image_camera, "cameras of images");
     camera_num_params_ = upload_values(camera_num_params, "camera sizes");
     camera_offsets_ = upload_values(layout_.intrinsics_offset, "camera offsets");
@@ -116,7 +186,7 @@ void DeviceProblem::upload_structure(const Problem& problem) {
                 const auto of_point = point_scale(problem, chunk.slot_point[slot]);
                 for (int k = 0; k < 3; ++k) scale[k * n + slot] = of_point[k];
             }
-            device_chunk.point_scale = upload_values(scale, "point scales");
+            device_chunk.point_scale = upload_wide(scale, "point scales");
         }
         for (const Segment& segment : chunk.segments)
             device_chunk.segments.push_back(upload_segment(problem, segment));
@@ -150,15 +220,21 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.runs = upload_values(segment.runs, "block runs");
 
     const auto fill = [&](Buffer& buffer, int rows, auto&& value) {
-        buffer = Buffer(queue_, sizeof(double) * static_cast<uint64_t>(rows * segment.num_slots()),
-                        "observations");
-        const auto mapping = buffer.map_write<double>();
-        detail::walk_slots(segment, rows, mapping.data(),
-                           [&](int64_t observation, int, auto&& slot) {
-                               for (int row = 0; row < rows; ++row)
-                                   slot(row) = value(observation, row);
-                           });
-        detail::clear_padding(segment, rows, mapping.data());
+        buffer = Buffer(
+            queue_,
+            wide_bytes(precision_) * static_cast<uint64_t>(rows) *
+                static_cast<uint64_t>(segment.num_slots()),
+            "observations");
+        for_wide([&](auto wide) {
+            using Wide = decltype(wide);
+            const auto mapping = buffer.map_write<Wide>();
+            detail::walk_slots(segment, rows, mapping.data(),
+                               [&](int64_t observation, int, auto&& slot) {
+                                   for (int row = 0; row < rows; ++row)
+                                       slot(row) = static_cast<Wide>(value(observation, row));
+                               });
+            detail::clear_padding(segment, rows, mapping.data());
+        });
     };
     fill(device_segment.xy, 2, [&](int64_t observation, int row) {
         const Observation& o = problem.observations[observation];
@@ -172,11 +248,14 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
 
 State DeviceProblem::make_state() {
     State made;
-    made.poses = Buffer(queue_, static_cast<uint64_t>(num_images_) * 7 * sizeof(double), "poses");
+    const size_t bytes = wide_bytes(precision_);
+    made.poses = Buffer(
+        queue_, static_cast<uint64_t>(num_images_) * static_cast<uint64_t>(pose_values()) * bytes,
+        "poses");
     made.camera_params =
-        Buffer(queue_, static_cast<uint64_t>(num_cameras_) * max_camera_params * sizeof(double),
+        Buffer(queue_, static_cast<uint64_t>(num_cameras_) * max_camera_params * bytes,
                "camera parameters");
-    made.points = make_point_rows(3, sizeof(double), "points");
+    made.points = make_point_rows(3 * position_parts(precision_), bytes, "points");
     return made;
 }
 
@@ -195,105 +274,122 @@ std::vector<Buffer> DeviceProblem::make_point_rows(int rows, size_t value_bytes,
 
 Vector DeviceProblem::make_reduced_vector(const std::string& label) {
     Vector vector;
-    vector.f = Buffer(queue_, static_cast<uint64_t>(layout_.num_f) * sizeof(double), label);
+    vector.f =
+        Buffer(queue_, static_cast<uint64_t>(layout_.num_f) * wide_bytes(precision_), label);
     vector.f.fill_zero();
     return vector;
 }
 
 Vector DeviceProblem::make_vector(const std::string& label) {
     Vector vector = make_reduced_vector(label);
-    vector.e = make_point_rows(3, sizeof(double), label);
+    vector.e = make_point_rows(3, wide_bytes(precision_), label);
     return vector;
 }
 
 void DeviceProblem::upload_state(const Problem& problem) {
-    {
-        const auto poses = state.poses.map_write<double>();
-        for (int32_t i = 0; i < num_images_; ++i) {
-            const Pose& pose = problem.images[i].pose;
-            std::copy(pose.rotation.begin(), pose.rotation.end(), &poses[7 * int64_t{i}]);
-            std::copy(pose.translation.begin(), pose.translation.end(), &poses[7 * int64_t{i} + 4]);
+    for_wide([&](auto wide) {
+        using Wide = decltype(wide);
+        {
+            const auto poses = state.poses.map_write<Wide>();
+            for (int32_t i = 0; i < num_images_; ++i)
+                upload_pose(problem.images[i].pose, &poses[int64_t{pose_values()} * i]);
+            const auto params = state.camera_params.map_write<Wide>();
+            for (int32_t c = 0; c < num_cameras_; ++c)
+                for (int32_t k = 0; k < max_camera_params; ++k)
+                    params[max_camera_params * int64_t{c} + k] =
+                        static_cast<Wide>(problem.cameras[c].params[k]);
         }
-        const auto params = state.camera_params.map_write<double>();
-        for (int32_t c = 0; c < num_cameras_; ++c)
-            std::copy(problem.cameras[c].params.begin(), problem.cameras[c].params.end(),
-                      &params[max_camera_params * int64_t{c}]);
-    }
-    for (size_t c = 0; c < chunks_.size(); ++c) {
-        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
-        const auto n = static_cast<int64_t>(slot_point.size());
-        const auto rows = state.points[c].map_write<double>();
-        for_slots(n, [&](int64_t slot) {
-            for (int k = 0; k < 3; ++k)
-                rows[k * n + slot] =
-                    slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k];
-        });
-    }
+        for (size_t c = 0; c < chunks_.size(); ++c) {
+            const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+            const auto n = static_cast<int64_t>(slot_point.size());
+            const auto rows = state.points[c].map_write<Wide>();
+            for_slots(n, [&](int64_t slot) {
+                for (int k = 0; k < 3; ++k)
+                    split(slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k],
+                          &rows[k * n + slot], 3 * n);
+            });
+        }
+    });
 }
 
 void DeviceProblem::download_state(Problem& problem) const {
-    // All is mapped before the first value is written, so that an error leaves the state whole.
-    using Rows = Buffer::Mapping<const double>;
-    const Rows poses = state.poses.map_read<double>();
-    const Rows params = state.camera_params.map_read<double>();
-    std::vector<std::unique_ptr<const Rows>> points(chunks_.size());
-    for (size_t c = 0; c < chunks_.size(); ++c)
-        points[c].reset(new Rows(state.points[c].map_read<double>()));
+    for_wide([&](auto wide) {
+        using Wide = decltype(wide);
+        // All is mapped before the first value is written, so that an error leaves the state whole.
+        using Rows = Buffer::Mapping<const Wide>;
+        const Rows poses = state.poses.map_read<Wide>();
+        const Rows params = state.camera_params.map_read<Wide>();
+        std::vector<std::unique_ptr<const Rows>> points(chunks_.size());
+        for (size_t c = 0; c < chunks_.size(); ++c)
+            points[c].reset(new Rows(state.points[c].map_read<Wide>()));
 
-    for (int32_t i = 0; i < num_images_; ++i) {
-        Pose& pose = problem.images[i].pose;
-        std::copy_n(&poses[7 * int64_t{i}], 4, pose.rotation.begin());
-        std::copy_n(&poses[7 * int64_t{i} + 4], 3, pose.translation.begin());
-    }
-    for (int32_t c = 0; c < num_cameras_; ++c)
-        std::copy_n(&params[max_camera_params * int64_t{c}], max_camera_params,
-                    problem.cameras[c].params.begin());
-    for (size_t c = 0; c < chunks_.size(); ++c) {
-        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
-        const auto n = static_cast<int64_t>(slot_point.size());
-        for_slots(n, [&](int64_t slot) {
-            if (slot_point[slot] >= 0)
-                for (int k = 0; k < 3; ++k)
-                    problem.points[slot_point[slot]][k] = (*points[c])[k * n + slot];
-        });
-    }
+        for (int32_t i = 0; i < num_images_; ++i)
+            download_pose(&poses[int64_t{pose_values()} * i], problem.images[i].pose);
+        for (int32_t c = 0; c < num_cameras_; ++c) {
+            for (int32_t k = 0; k < max_camera_params; ++k) {
+                const Wide value = params[max_camera_params * int64_t{c} + k];
+                double& kept = problem.cameras[c].params[k];
+                if (value != static_cast<Wide>(kept)) kept = value;
+            }
+        }
+        for (size_t c = 0; c < chunks_.size(); ++c) {
+            const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+            const auto n = static_cast<int64_t>(slot_point.size());
+            for_slots(n, [&](int64_t slot) {
+                if (slot_point[slot] >= 0)
+                    for (int k = 0; k < 3; ++k)
+                        join(&(*points[c])[k * n + slot], 3 * n,
+                             problem.points[slot_point[slot]][k]);
+            });
+        }
+    });
 }
 
 void DeviceProblem::upload(const double* values, Vector& vector) const {
-    vector.f.write(values, vector.f.bytes());
+    write_wide(std::vector<double>(values, values + layout_.num_f), vector.f);
     for (size_t c = 0; c < vector.e.size(); ++c) {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
-        const auto rows = vector.e[c].map_write<double>();
-        for_slots(n, [&](int64_t slot) {
-            for (int k = 0; k < 3; ++k)
-                rows[k * n + slot] =
-                    slot_point[slot] < 0
-                        ? 0.0
-                        : values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k];
+        for_wide([&](auto wide) {
+            using Wide = decltype(wide);
+            const auto rows = vector.e[c].map_write<Wide>();
+            for_slots(n, [&](int64_t slot) {
+                const int64_t from = layout_.num_f + 3 * int64_t{slot_point[slot]};
+                for (int k = 0; k < 3; ++k)
+                    rows[k * n + slot] =
+                        slot_point[slot] < 0 ? Wide(0) : static_cast<Wide>(values[from + k]);
+            });
         });
     }
 }
 
 void DeviceProblem::download(const Vector& vector, double* values) const {
-    vector.f.read(values, vector.f.bytes());
+    std::vector<double> f(static_cast<size_t>(layout_.num_f));
+    read_wide(vector.f, f, f.size());
+    std::copy(f.begin(), f.end(), values);
     for (size_t c = 0; c < vector.e.size(); ++c) {
         const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
         const auto n = static_cast<int64_t>(slot_point.size());
-        const auto rows = vector.e[c].map_read<double>();
-        for_slots(n, [&](int64_t slot) {
-            if (slot_point[slot] >= 0)
-                for (int k = 0; k < 3; ++k)
-                    values[layout_.num_f + 3 * int64_t{slot_point[slot]} + k] = rows[k * n + slot];
+        for_wide([&](auto wide) {
+            const auto rows = vector.e[c].template map_read<decltype(wide)>();
+            for_slots(n, [&](int64_t slot) {
+                const int64_t to = layout_.num_f + 3 * int64_t{slot_point[slot]};
+                if (slot_point[slot] >= 0)
+                    for (int k = 0; k < 3; ++k) values[to + k] = rows[k * n + slot];
+            });
         });
     }
+}
+
+std::string DeviceProblem::state_defines() const {
+    return precision_defines(precision_) + text(" -DMAX_CAMERA_PARAMS=", max_camera_params);
 }
 
 void DeviceProblem::update(const Vector& step) {
     const auto launch_rows = [&](const char* name, int64_t rows, const auto&... arguments) {
         queue_.launch(
             Step::vector,
-            queue_.kernel("state.cl", name, text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
+            queue_.kernel("state.cl", name, state_defines()),
             std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
     launch_rows("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
@@ -309,7 +405,7 @@ void DeviceProblem::update(const Vector& step) {
 void DeviceProblem::update_image_records(const State& of) {
     queue_.launch(
         Step::vector,
-        queue_.kernel("state.cl", "image_records", text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
+        queue_.kernel("state.cl", "image_records", state_defines()),
         std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_, of.poses,
         image_camera_, of.camera_params, image_records);
 }

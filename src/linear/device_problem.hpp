@@ -7,32 +7,13 @@
 
 #include "base/parallel.hpp"
 #include "device/queue.hpp"
+#include "linear/precision.hpp"
 #include "linear/vector.hpp"
 #include "problem/parameter_layout.hpp"
 #include "problem/problem.hpp"
 #include "problem/visibility_tiles.hpp"
 
 namespace clba {
-
-enum class Precision : int { double_precision = 1, mixed = 2 };
-
-// REAL of the kernels: what the Jacobian is kept in and products are computed in.
-inline const char* real_type(Precision precision) {
-    return precision == Precision::double_precision ? "double" : "float";
-}
-inline size_t real_bytes(Precision precision) {
-    return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
-}
-// WIDE of the kernels: states, residuals, image vectors and long sums.
-inline const char* wide_type(Precision) {
-    return "double";
-}
-inline size_t wide_bytes(Precision) {
-    return sizeof(double);
-}
-inline std::string precision_defines(Precision precision) {
-    return std::string("-DREAL=") + real_type(precision) + " -DWIDE=" + wide_type(precision);
-}
 
 // A segment (problem/visibility_tiles.hpp) on the device.
 struct DeviceSegment {
@@ -55,8 +36,8 @@ struct DeviceChunk {
     const Buffer* point_scale_or_null() const { return point_scale ? &point_scale : nullptr; }
 };
 
-// Poses (7 doubles an image), camera parameters (max_camera_params a camera) and points (3 rows
-// over the point slots of each chunk).
+// WIDEs: poses (7 an image), camera parameters (max_camera_params a camera) and points (3 rows over
+// the point slots of each chunk). Single precision: poses of 10 and points of 6 (kernels/state.cl).
 struct State {
     Buffer poses, camera_params;
     std::vector<Buffer> points;
@@ -104,8 +85,9 @@ public:
     }
     // The first n of a buffer of WIDEs.
     void read_wide(const Buffer& buffer, std::vector<double>& values, size_t n) const {
-        buffer.read(values.data(), n * sizeof(double));
+        vectors_.read_wide(buffer, values, n);
     }
+    void write_wide(const std::vector<double>& values, Buffer& buffer) const;  // all of it
 
     State state, trial;
 
@@ -138,8 +120,8 @@ public:
     Buffer scale_f;                                  // ParameterLayout::scale
     Buffer block_offset, block_size, matrix_offset;  // of ParameterLayout::blocks
     int32_t num_blocks() const { return static_cast<int32_t>(layout_.blocks.size()); }
-    uint64_t matrices_bytes() const {  // packed lower triangles, doubles
-        return static_cast<uint64_t>(layout_.num_matrix_values) * sizeof(double);
+    uint64_t matrices_bytes() const {  // packed lower triangles, WIDEs
+        return static_cast<uint64_t>(layout_.num_matrix_values) * wide_bytes(precision_);
     }
     int32_t num_images() const { return num_images_; }
     // Records of `of` for kernels over observations; filled by update_image_records.
@@ -150,9 +132,16 @@ private:
     static const std::string& camera_model_path(int32_t model);
     template <class Value>
     Buffer upload_values(const std::vector<Value>& values, const char* label);
+    Buffer upload_wide(const std::vector<double>& values, const char* label);
     void upload_structure(const Problem& problem);
     DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
     State make_state();
+    int pose_values() const { return 4 + 3 * position_parts(precision_); }
+    std::string state_defines() const;
+    template <class Visit>
+    void for_wide(Visit&& visit) const {
+        with_wide(precision_, visit);
+    }
 
     Queue queue_;
     Precision precision_;

@@ -51,10 +51,8 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations)
     const ParameterLayout& layout = device.layout();
     has_constants_ = std::any_of(layout.scale.begin(), layout.scale.end(),
                                  [](double scale) { return !(scale > 0); });
-    if (has_shared_cameras_) {
-        list_targets(problem, pattern_);
-        values_.resize(static_cast<size_t>(cholesky_.num_values()));
-    }
+    if (has_shared_cameras_) list_targets(problem, pattern_);
+    if (!is_in_place()) values_.resize(static_cast<size_t>(cholesky_.num_values()));
     std::vector<int32_t> rows, columns;
     for (int32_t i = 0; i < problem.num_images(); ++i) {
         for (int64_t k = structure_.row_begin[i]; k < structure_.row_begin[i + 1]; ++k) {
@@ -182,17 +180,22 @@ bool ExplicitSchur::factorize(double lambda, double& seconds) {
         seconds += watch.seconds();
         return is_definite;
     };
-    equations_.damping().f.read(damping_.data(), damping_.size() * sizeof(double));
-    if (!has_shared_cameras_) {
+    DeviceProblem& device = equations_.problem();
+    device.read_wide(equations_.damping().f, damping_, damping_.size());
+    if (is_in_place()) {
         const auto blocks = blocks_.map_update<double>();
         finish_values(lambda, blocks.data());
         return timed(blocks.data());
     }
-    std::fill(values_.begin(), values_.end(), 0.0);
-    {
-        const auto blocks = blocks_.map_read<double>();
+    with_wide(device.precision(), [&](auto wide) {
+        const auto blocks = blocks_.map_read<decltype(wide)>();
+        if (!has_shared_cameras_) {
+            std::copy_n(blocks.data(), values_.size(), values_.begin());
+            return;
+        }
+        std::fill(values_.begin(), values_.end(), 0.0);
         for (const Target& target : targets_) {
-            const double* from = blocks.data() + target.source;
+            const auto* from = blocks.data() + target.source;
             double* to = values_.data() + target.value;
             const int32_t stride = target.is_transposed ? target.rows : target.columns;
             for (int32_t r = 0; r < target.rows; ++r) {
@@ -203,7 +206,7 @@ bool ExplicitSchur::factorize(double lambda, double& seconds) {
                 }
             }
         }
-    }
+    });
     finish_values(lambda, values_.data());
     return timed(values_.data());
 }
@@ -219,15 +222,15 @@ LinearSolution ExplicitSchur::solve(double lambda) {
         return solution;
     }
     reduced_right_side(equations_, b_);
-    const size_t bytes = right_side_.size() * sizeof(double);
-    b_.f.read(right_side_.data(), bytes);
-    const ParameterLayout& layout = equations_.problem().layout();
+    DeviceProblem& device = equations_.problem();
+    device.read_wide(b_.f, right_side_, right_side_.size());
+    const ParameterLayout& layout = device.layout();
     for (int32_t k = 0; k < layout.num_f; ++k)
         if (!(layout.scale[k] > 0)) right_side_[k] = 0;
     const Stopwatch watch;
     cholesky_.solve(right_side_.data(), right_side_.data());
     solution.factorization_seconds += watch.seconds();
-    step_.f.write(right_side_.data(), bytes);
+    device.write_wide(right_side_, step_.f);
     solution.is_usable = std::all_of(right_side_.begin(), right_side_.end(),
                                      [](double x) { return std::isfinite(x); });
     if (solution.is_usable) take_reduced_step(equations_, step_, solution);

@@ -39,6 +39,10 @@ private:
     BlockPattern pattern_;
     BlockCholesky<double> cholesky_;
     bool has_shared_cameras_;
+    // Whether the blocks are factored where the device left them, else as values_.
+    bool is_in_place() const {
+        return !has_shared_cameras_ && equations_.problem().precision() != Precision::single;
+    }
     bool has_constants_;
     std::vector<Target> targets_;  // only if there are shared cameras
     std::vector<double> values_;   // of S, likewise

@@ -24,7 +24,7 @@ Pcg::Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vec
       q_(std::move(q)),
       num_partials_(vectors.num_partials(r_)),
       host_partials_(static_cast<size_t>(num_sums * num_partials_)) {
-    partials_ = Buffer(queue, host_partials_.size() * sizeof(double), "PCG");
+    partials_ = Buffer(queue, host_partials_.size() * wide_bytes(vectors.precision()), "PCG");
 }
 
 PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, const Vector& b,
@@ -60,7 +60,7 @@ PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, const V
         });
         system.precondition(r_, z_);
         vectors_.dot_partials(r_, z_, partials_, next_rho * num_partials_);
-        partials_.read(host_partials_.data(), partials_.bytes());
+        vectors_.read_wide(partials_, host_partials_, host_partials_.size());
 
         if (k == 1 && sum(rho) == 0) {  // b = 0, or M^-1 b = 0: every free parameter is at rest
             result.is_usable = true;

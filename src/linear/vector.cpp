@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <type_traits>
 
 namespace clba {
 namespace {
@@ -11,13 +12,11 @@ constexpr int64_t elements_per_group = 1024;  // fewer are not worth a group
 
 }  // namespace
 
-VectorOperations::VectorOperations(Queue& queue, const std::string& real_type)
-    : queue_(queue),
-      defines_("-DREAL=" + real_type),
-      real_bytes_(real_type == "double" ? sizeof(double) : sizeof(float)) {}
+VectorOperations::VectorOperations(Queue& queue, Precision precision)
+    : queue_(queue), precision_(precision), defines_(precision_defines(precision)) {}
 
 int32_t VectorOperations::num_values(const Buffer& wides) const {
-    return static_cast<int32_t>(wides.bytes() / sizeof(double));
+    return static_cast<int32_t>(wides.bytes() / wide_bytes(precision_));
 }
 
 int32_t VectorOperations::num_partials(const Vector& x) const {
@@ -50,14 +49,28 @@ int64_t VectorOperations::num_groups(int64_t n) const {
 
 void VectorOperations::reserve_partials(size_t num_parts) {
     const size_t bytes =
-        num_parts * static_cast<size_t>(queue_.tuning().vector_groups) * sizeof(double);
+        num_parts * static_cast<size_t>(queue_.tuning().vector_groups) * wide_bytes(precision_);
     if (partials_.bytes() < bytes) partials_ = Buffer(queue_, bytes, "partial sums");
 }
 
 const std::vector<double>& VectorOperations::read_partials(int64_t count) {
     host_partials_.resize(static_cast<size_t>(count));
-    partials_.read(host_partials_.data(), host_partials_.size() * sizeof(double));
+    read_wide(partials_, host_partials_, host_partials_.size());
     return host_partials_;
+}
+
+void VectorOperations::read_wide(const Buffer& buffer, std::vector<double>& values,
+                                 size_t n) const {
+    with_wide(precision_, [&](auto wide) {
+        using Wide = decltype(wide);
+        if constexpr (std::is_same_v<Wide, double>) {
+            buffer.read(values.data(), n * sizeof(double));
+        } else {
+            std::vector<Wide> read(n);
+            buffer.read(read.data(), n * sizeof(Wide));
+            std::copy(read.begin(), read.end(), values.begin());
+        }
+    });
 }
 
 double VectorOperations::dot(const Vector& x, const Vector& y) {
@@ -79,7 +92,7 @@ double VectorOperations::squared_norm(const std::vector<Buffer>& reals) {
     reserve_partials(reals.size());
     int64_t num_partials = 0;
     for (const Buffer& x : reals) {
-        const auto n = static_cast<int32_t>(x.bytes() / real_bytes_);
+        const auto n = static_cast<int32_t>(x.bytes() / real_bytes(precision_));
         const int64_t groups = num_groups(n);
         queue_.launch(Step::vector, kernel("squared_norm"), groups, n, x,
                       static_cast<int32_t>(num_partials), partials_, queue_.scratch());

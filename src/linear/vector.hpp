@@ -5,10 +5,11 @@
 #include <vector>
 
 #include "device/queue.hpp"
+#include "linear/precision.hpp"
 
 namespace clba {
 
-// A vector of doubles in the tangent space, on the device: the F side (poses and intrinsics) and,
+// A vector of WIDEs in the tangent space, on the device: the F side (poses and intrinsics) and,
 // unless only the reduced camera system is at work, 3 rows over the point slots of each chunk.
 // Spare point slots hold 0.
 struct Vector {
@@ -31,11 +32,10 @@ struct Vector {
 // in order.
 class VectorOperations {
 public:
-    // real_type: "float" or "double", the REAL of the kernels.
-    VectorOperations(Queue& queue, const std::string& real_type);
+    VectorOperations(Queue& queue, Precision precision);
 
     double dot(const Vector& x, const Vector& y);
-    double squared_norm(const Buffer& x);                   // of doubles
+    double squared_norm(const Buffer& x);                   // of WIDEs
     double squared_norm(const std::vector<Buffer>& reals);  // of REALs, all buffers together
     double max_abs(const Vector& x);                        // infinite if one is NaN
     void scale_and_add(double a, const Vector& x, double b, Vector& y);  // y = a x + b y
@@ -56,9 +56,12 @@ public:
     }
     int32_t num_values(const Buffer& wides) const;
     const std::string& defines() const { return defines_; }
-    void to_real(const Buffer& x, Buffer& y);    // doubles to REAL
-    void from_real(const Buffer& x, Buffer& y);  // REAL to doubles
-    void add_real(const Buffer& x, Buffer& y);   // y += x, REAL to doubles
+    // The first n WIDEs of a buffer.
+    void read_wide(const Buffer& buffer, std::vector<double>& values, size_t n) const;
+    Precision precision() const { return precision_; }
+    void to_real(const Buffer& x, Buffer& y);    // WIDE to REAL
+    void from_real(const Buffer& x, Buffer& y);  // REAL to WIDE
+    void add_real(const Buffer& x, Buffer& y);   // y += x, REAL to WIDE
     void mask_constants(const Buffer& scale, Buffer& x);
 
 private:
@@ -68,8 +71,8 @@ private:
     const std::vector<double>& read_partials(int64_t count);
 
     Queue& queue_;
+    Precision precision_;
     std::string defines_;
-    size_t real_bytes_;
     Buffer partials_;
     std::vector<double> host_partials_;
 };

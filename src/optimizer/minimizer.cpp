@@ -2,6 +2,7 @@
 #include "optimizer/minimizer.hpp"
 
 #include <cmath>
+#include <limits>
 
 #include "base/error.hpp"
 #include "base/stopwatch.hpp"
@@ -10,6 +11,10 @@
 
 namespace clba {
 namespace {
+
+// Relative rounding of the cost in single precision: pixels have that of a float, and the rounding of
+// thousands of them cancels in the sum of their squares but for a share like this.
+constexpr double cost_rounding = 32.0 * std::numeric_limits<float>::epsilon();
 
 // The loop, one object a solve. Each test that may end it says why in the summary.
 class Minimizer {
@@ -131,12 +136,15 @@ private:
         const CostEvaluation trial = evaluator_.cost(device_.trial, nullptr);
         summary_.evaluate_seconds += lap();
         if (!std::isfinite(trial.cost)) {
+            // What products see of the images is the trial's now.
+            device_.update_image_records(device_.state);
             handle_invalid_step();
             return;
         }
         consecutive_invalid_steps_ = 0;
         row_.step_is_valid = true;
         row_.cost_change = current_.cost - trial.cost;
+        model_decrease_ = solution.model_decrease;
         row_.gain_ratio = row_.cost_change / solution.model_decrease;
         if (row_.cost_change > 0 && row_.gain_ratio > options_.min_relative_decrease) {
             row_.step_is_accepted = true;
@@ -148,6 +156,7 @@ private:
             state_norm_ = state_norm();
         } else {
             ++summary_.num_rejected_steps;
+            device_.update_image_records(device_.state);
             trust_region_.reject();
         }
     }
@@ -214,6 +223,15 @@ private:
                      " <= ", smallest_change, "."));
             return true;
         }
+        const double rounding = cost_rounding * current_.cost;
+        if (device_.precision() == Precision::single && !row_.step_is_accepted &&
+            model_decrease_ <= rounding) {
+            end(Termination::convergence, Reason::function_tolerance,
+                text("Function tolerance reached: the decrease ", model_decrease_,
+                     " that a rejected step promised is within the rounding of the cost, ",
+                     rounding, "."));
+            return true;
+        }
         return false;
     }
 
@@ -241,6 +259,7 @@ private:
     TrustRegion trust_region_;
     CostEvaluation current_;
     double gradient_max_norm_ = 0;
+    double model_decrease_ = 0;  // of the last valid step
     double state_norm_ = 0;
     int consecutive_invalid_steps_ = 0;
     IterationRow row_;
