@@ -48,9 +48,6 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     upload_structure(problem);
     state = make_state();
     trial = make_state();
-    image_records = Buffer(
-        queue_, static_cast<uint64_t>(num_images_) * (12 + max_camera_params) * sizeof(double),
-        "image records");
 }
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
@@ -177,6 +174,9 @@ State DeviceProblem::make_state() {
         Buffer(queue_, static_cast<uint64_t>(num_cameras_) * max_camera_params * sizeof(double),
                "camera parameters");
     made.points = make_point_rows(3, sizeof(double), "points");
+    made.image_records = Buffer(
+        queue_, static_cast<uint64_t>(num_images_) * (12 + max_camera_params) * sizeof(double),
+        "image records");
     return made;
 }
 
@@ -311,7 +311,7 @@ void DeviceProblem::update_image_records(const State& of) {
         Step::vector,
         queue_.kernel("state.cl", "image_records", text("-DMAX_CAMERA_PARAMS=", max_camera_params)),
         std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_, of.poses,
-        image_camera_, of.camera_params, image_records);
+        image_camera_, of.camera_params, of.image_records);
 }
 
 }  // namespace clba

@@ -89,7 +89,7 @@ std::vector<Buffer> Jacobian::blocks() {
         num_block_rows, real_bytes(problem_.precision()), "blocks of the Jacobian");
     for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t, size_t i) {
         problem_.launch(Step::jacobian, "blocks.cl", "jacobian_rows", defines(segment), chunk,
-                        segment, problem_.image_records, rows_[i], blocks[i]);
+                        segment, problem_.state.image_records, rows_[i], blocks[i]);
     });
     return blocks;
 }
@@ -98,12 +98,12 @@ void Jacobian::multiply(const Vector& x) {
     for (size_t c = 0; c < point_real_.size(); ++c)
         problem_.vectors().to_real(x.e[c], point_real_[c]);
     product();
-    for_each_segment(
-        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
-            problem_.launch(Step::jx, "products.cl", "jx", defines(segment), chunk, segment,
-                            problem_.pose_offsets, problem_.intrinsics_offsets,
-                            problem_.image_records, rows_[i], x.f, point_real_[c], product_[i]);
-        });
+    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
+                         size_t i) {
+        problem_.launch(Step::jx, "products.cl", "jx", defines(segment), chunk, segment,
+                        problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.state.image_records, rows_[i], x.f, point_real_[c], product_[i]);
+    });
 }
 
 double Jacobian::squared_norm(const Vector& x) {
@@ -117,7 +117,7 @@ void Jacobian::add_transposed(Vector& x) {
     for_each_segment(
         [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
             problem_.launch(Step::jty, "products.cl", "jty", defines(segment), chunk, segment,
-                            problem_.image_records, rows_[i], product_[i], point_real_[c],
+                            problem_.state.image_records, rows_[i], product_[i], point_real_[c],
                             run_sums_, queue_.scratch());
             reduce_runs(Step::jty, segment, false, segment.num_columns, 0, x.f);
         });
@@ -154,8 +154,8 @@ void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffe
         if (wanted == 0) return;
         problem_.launch(Step::schur, "products.cl", "schur_product", defines(segment), chunk,
                         segment, wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.image_records, rows_[i], x.f, point_factors[c], point_real_[c],
-                        run_sums_, queue_.scratch());
+                        problem_.state.image_records, rows_[i], x.f, point_factors[c],
+                        point_real_[c], run_sums_, queue_.scratch());
         if (wanted & backward_stage)
             reduce_runs(Step::schur, segment, false, segment.num_columns, 0, y.f);
     });
@@ -182,7 +182,7 @@ BackSubstitution Jacobian::back_substitute(const Vector& step,
                          size_t c, size_t i) {
         problem_.launch(Step::schur, "products.cl", "back_substitute", defines(segment), chunk,
                         segment, stages, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.image_records, rows_[i], step.f, point_factors[c],
+                        problem_.state.image_records, rows_[i], step.f, point_factors[c],
                         point_gradient[c], problem_.state.points[c], point_real_[c],
                         problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
         // A later stage of the same segment takes up where an earlier one left the points.
@@ -205,7 +205,7 @@ void Jacobian::sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer
                          size_t i) {
         const Buffer* factors = point_factors ? &(*point_factors)[c] : nullptr;
         problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(segment), chunk,
-                        segment, problem_.image_records, rows_[i], factors, run_sums_,
+                        segment, problem_.state.image_records, rows_[i], factors, run_sums_,
                         queue_.scratch());
         queue_.launch(Step::preconditioner,
                       queue_.kernel("reduce.cl", "reduce_run_blocks",
