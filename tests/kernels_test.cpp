@@ -465,8 +465,8 @@ TEST_P(KernelTest, ProductsWithTheJacobian) {
 
     const std::vector<double> y = test::random_vector(2 * problem().num_observations(), 2);
     rig_->set_product(y);
-    Vector transposed = rig_->upload(x);  // to be overwritten
-    rig_->equations.jacobian.multiply_transposed(transposed);
+    Vector transposed = rig_->device.make_vector("test");
+    rig_->equations.jacobian.add_transposed(transposed);
     expect_near(rig_->download(transposed), reference::jty(problem(), layout(), jacobian_, y),
                 reference::jty(problem(), layout(), absolute_, absolute(y)), real_bound(), "J^T y");
 }
@@ -584,9 +584,9 @@ TEST_P(KernelTest, SchurComplement) {
     const auto factors = rig_->point_matrices(rig_->equations.point_factors());
     const std::vector<double> no_damping(static_cast<size_t>(layout().num_f), 0.0);
     const std::vector<double> x = test::random_vector(layout().num_f, 4);
-    Vector y = rig_->upload_reduced(x);
-    rig_->equations.jacobian.schur_multiply(rig_->upload_reduced(x),
-                                            rig_->equations.point_factors(), y);
+    Vector y = rig_->device.make_reduced_vector("test");
+    rig_->equations.jacobian.add_schur_product(rig_->upload_reduced(x),
+                                               rig_->equations.point_factors(), y);
     const std::vector<double> u_x =
         reduced(layout(), jty(absolute_, jx(absolute_, of_images(absolute(x)))));
     const std::vector<double> bound =
@@ -979,10 +979,10 @@ std::vector<double> all_results(const Problem& problem, Precision precision, Jac
     Vector y = rig.upload(test::random_vector(rig.device.layout().num_parameters(problem), 7));
     rig.equations.jacobian.multiply(y);
     append(rig.product());
-    rig.equations.jacobian.multiply_transposed(y);
+    rig.equations.jacobian.add_transposed(y);
     append(rig.download(y));
     Vector z = rig.device.make_reduced_vector("test");
-    rig.equations.jacobian.schur_multiply(y, rig.equations.point_factors(), z);
+    rig.equations.jacobian.add_schur_product(y, rig.equations.point_factors(), z);
     append(rig.download_reduced(z));
     rig.equations.jacobian.eliminate(rig.equations.point_gradient, rig.equations.point_factors(),
                                      z);

@@ -244,8 +244,8 @@ TEST(LinearSolvers, ReducedSystemIsSymmetric) {
                    sy = system.device.make_reduced_vector("sy");
             system.device.upload(test::random_vector(n, 7).data(), x);
             system.device.upload(test::random_vector(n, 8).data(), y);
-            system.equations.jacobian.schur_multiply(x, system.equations.point_factors(), sx);
-            system.equations.jacobian.schur_multiply(y, system.equations.point_factors(), sy);
+            system.equations.jacobian.add_schur_product(x, system.equations.point_factors(), sx);
+            system.equations.jacobian.add_schur_product(y, system.equations.point_factors(), sy);
             VectorOperations& vectors = system.device.vectors();
             const double scale = std::sqrt(vectors.dot(sx, sx) * vectors.dot(sy, sy));
             EXPECT_NEAR(vectors.dot(sy, x), vectors.dot(sx, y),

@@ -34,9 +34,9 @@ struct Tuning {
     bool lane_loop = true;  // work-groups of one work-item with inner loops: CPUs
     bool vectorize = true;  // ask the compiler to vectorise these loops
     int work_group_size = 1;
-    int vector_groups = 1;           // work-groups for kernels over vectors
-    int tile_groups = 1;             // work-groups that share tiles out among themselves
-    int lanes = 16;                  // padding of runs
+    int vector_groups = 1;            // work-groups for kernels over vectors
+    int tile_groups = 1;              // work-groups that share tiles out among themselves
+    int lanes = 16;                   // padding of runs
     int32_t points_per_tile = 16384;  // at most
 };
 

@@ -141,7 +141,7 @@ void ExplicitSchur::form_blocks() {
         for (size_t s = 0; s < chunk.segments.size(); ++s) {
             const DeviceSegment& segment = chunk.segments[s];
             device.launch(Step::preconditioner, "schur_complement.cl", "schur_records",
-                          jacobian.defines(segment), chunk, segment, device.image_records,
+                          jacobian.defines(segment), chunk, segment, device.state.image_records,
                           jacobian.rows()[index++], equations_.point_factors()[c],
                           structure_.chunks[c].first_record[s], image_records_, point_records_);
         }

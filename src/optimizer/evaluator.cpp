@@ -92,6 +92,7 @@ void Evaluator::linearize(NormalEquations& equations) {
                 problem_.state.image_records, problem_.state.points[c], loss_.scale,
                 chunk.point_scale_or_null(), jacobian.rows()[index++], jacobian.run_sums(),
                 point_capacity_, point_sums_, equations.point_roots[c], equations.point_gradient[c],
+                equations.wide_point_gradient.empty() ? nullptr : &equations.wide_point_gradient[c],
                 chunk.first_tile, equations.tile_max, queue_.scratch());
             const int columns = segment.num_columns;
             jacobian.reduce_runs(Step::jacobian, segment, true, 2 * columns, 0,
