@@ -145,10 +145,11 @@ void ExplicitSchur::form_blocks() {
         for (size_t s = 0; s < chunk.segments.size(); ++s) {
             const DeviceSegment& segment = chunk.segments[s];
             device.launch(Step::preconditioner, "schur_records.cl", "schur_records",
-                          jacobian.defines(segment) + max_columns, chunk, segment,
-                          device.state.image_records, jacobian.rows()[index++],
+                          jacobian.defines(index) + max_columns, chunk, segment,
+                          device.state.image_records, jacobian.rows()[index],
                           equations_.point_factors()[c], structure_.chunks[c].first_record[s],
                           records_);
+            ++index;
         }
         queue.launch(Step::preconditioner, queue.kernel("schur_pairs.cl", "schur_pairs", defines),
                      (num_blocks + blocks_per_group - 1) / blocks_per_group, num_blocks,
