@@ -18,6 +18,7 @@
 #include "device/context.hpp"
 #include "device/program_cache.hpp"
 #include "linear/device_problem.hpp"
+#include "linear/explicit_schur.hpp"
 #include "linear/normal_equations.hpp"
 #include "optimizer/evaluator.hpp"
 #include "reference/scene.hpp"
@@ -54,7 +55,8 @@ struct Rig {
           x(device.make_vector("x")),
           y(device.make_vector("y")),
           z(device.make_vector("z")),
-          schur_blocks(device.queue(), device.matrices_bytes(), "blocks") {
+          schur_blocks(device.queue(), device.matrices_bytes(), "blocks"),
+          explicit_schur(scene, equations) {
         evaluator.linearize(equations);
         equations.factor_points(1e-4);
         equations.factor_images(1e-4, equations.u());
@@ -68,6 +70,7 @@ struct Rig {
     NormalEquations equations;
     Vector x, y, z;
     Buffer schur_blocks;
+    ExplicitSchur explicit_schur;
 };
 
 using Work = std::function<void(Rig&)>;
@@ -146,6 +149,7 @@ int main(int argc, char** argv) {
                  rig.equations.jacobian.schur_blocks(rig.equations.point_factors(),
                                                      rig.schur_blocks);
              }},
+            {"explicit_blocks", [](Rig& rig) { rig.explicit_schur.form_blocks(); }},
             {"factor_points", [](Rig& rig) { rig.equations.factor_points(1e-4); }},
             {"factor_images",
              [](Rig& rig) { rig.equations.factor_images(1e-4, rig.equations.u()); }},

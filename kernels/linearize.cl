@@ -45,6 +45,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                       int point_capacity, global WIDE* restrict point_sums,
                       global REAL* restrict point_roots,     // L of V = L L^T: 6 rows, like V
                       global REAL* restrict point_gradient,  // 3 rows
+                      global WIDE* restrict wide_gradient,   // the same unrounded, or NULL
                       int first_tile,
                       global WIDE* restrict tile_max,  // of |point_gradient|; inf for NaN
                       local WIDE* scratch) {
@@ -223,6 +224,17 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                     gradient[k * num_point_slots + i] = (REAL)g;
                     const WIDE size = g == g ? fabs(g) : (WIDE)INFINITY;
                     largest = size > largest ? size : largest;
+                }
+            }
+        }
+        if (stages & FINISH && wide_gradient) {
+            global WIDE* gradient = wide_gradient + tile_points[tile];
+            global const WIDE* scale = point_scale ? point_scale + tile_points[tile] : 0;
+            for (int k = 0; k < 3; ++k) {
+                LANES(i, 0, num_points) {
+                    const bool is_free = scale ? scale[k * num_point_slots + i] > 0 : true;
+                    gradient[k * num_point_slots + i] =
+                        is_free ? sums[(6 + k) * point_capacity + i] : (WIDE)0;
                 }
             }
         }

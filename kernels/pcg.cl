@@ -29,7 +29,8 @@ KERNEL void pcg_direction(int n, int is_first, int num_partials, int rho, int rh
     }
 }
 
-// x += alpha p, r -= alpha q; partials of x . (b + r). Without positive curvature nothing moves.
+// x += alpha p, r -= alpha q; partials of x . (b + r). Nothing moves unless rho and the curvature are
+// positive: what follows from them then, NaN perhaps, is not added to x.
 KERNEL void pcg_step(int n, int num_partials, int rho, int curvature,
                      global const WIDE* restrict p, global const WIDE* restrict q,
                      global const WIDE* restrict b, global WIDE* restrict x,
@@ -37,11 +38,13 @@ KERNEL void pcg_step(int n, int num_partials, int rho, int curvature,
                      local WIDE* scratch) {
     const int begin = share_begin(n), end = share_end(n);
     const WIDE of_p = sum_partials(partials + curvature, num_partials);
-    const WIDE alpha = of_p > 0 ? sum_partials(partials + rho, num_partials) / of_p : (WIDE)0;
+    const WIDE of_r = sum_partials(partials + rho, num_partials);
+    const bool moves = of_p > 0 && of_r > 0;
+    const WIDE alpha = moves ? of_r / of_p : (WIDE)0;
     WIDE sum = 0;
     LANES(i, begin, end) {
-        const WIDE next_x = x[i] + alpha * p[i];
-        const WIDE next_r = r[i] - alpha * q[i];
+        const WIDE next_x = x[i] + (moves ? alpha * p[i] : (WIDE)0);
+        const WIDE next_r = r[i] - (moves ? alpha * q[i] : (WIDE)0);
         x[i] = next_x;
         r[i] = next_r;
         sum += next_x * (b[i] + next_r);

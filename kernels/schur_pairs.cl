@@ -1,16 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over pairs of observations, from the records of schur_complement.cl: each lane has blocks of
+// Sums over pairs of observations, from their records: each lane has blocks of
 // its own, whose rows are vectors of 16 columns.
 #include "lanes.clh"
+#include "schur_records.clh"
 
 #define JOIN_AGAIN(a, b) a##b
 #define JOIN(a, b) JOIN_AGAIN(a, b)
 typedef JOIN(WIDE, 16) wide16;
 #define CONVERT_WIDE16 JOIN(convert_, JOIN(WIDE, 16))
-#ifndef MAX_COLUMNS
-#define MAX_COLUMNS 9  // of any image block
-#endif
 #define BLOCKS_PER_GROUP 16
+
+// Records lie where the tiles put them: their addresses are known long before they are needed.
+#if LANE_LOOP && defined(__clang__) && !defined(NO_VECTORIZE)
+#define PAIRS_AHEAD 6
+static inline void fetch(global const char* record) {
+    for (int line = 0; line < RECORD_BYTES; line += 64) __builtin_prefetch(record + line);
+}
+#endif
 
 // blocks[block_offset ...] += the block's sum: rows x columns, row-major.
 // Writers: one block each.
@@ -19,8 +25,7 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict block_rows,
                         global const long* restrict block_offset,
                         global const long* restrict block_pairs,  // first of each block, and end
                         global const int2* restrict pairs,        // records a and b
-                        global const REAL* restrict image_records,
-                        global const WIDE* restrict point_records, global WIDE* restrict blocks) {
+                        global const char* restrict records, global WIDE* restrict blocks) {
     const int begin = BLOCKS_PER_GROUP * (int)get_group_id(0);
     const int end = min(num_blocks, begin + BLOCKS_PER_GROUP);
     LANES_UNVECTORIZED(block, begin, end) {
@@ -30,21 +35,32 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict block_rows,
         const long pairs_end = block_pairs[block + 1];
         for (long pair = block_pairs[block]; pair < pairs_end; ++pair) {
             const int a = pairs[pair].x, b = pairs[pair].y;
-            global const REAL* f = image_records + 32 * (long)a;
-            global const REAL* f_b = image_records + 32 * (long)b;
-            global const WIDE* p = point_records + 8 * (long)a;
-            global const WIDE* p_b = point_records + 8 * (long)b;
+            global const char* record_a = records + RECORD_BYTES * (long)a;
+            global const char* record_b = records + RECORD_BYTES * (long)b;
+            global const REAL* f = (global const REAL*)record_a;
+            global const REAL* f_b = (global const REAL*)record_b;
+            global const WIDE* p = (global const WIDE*)(record_a + POINT_OFFSET);
+            global const WIDE* p_b = (global const WIDE*)(record_b + POINT_OFFSET);
+#ifdef PAIRS_AHEAD
+            const int2 ahead = pairs[min(pair + PAIRS_AHEAD, pairs_end - 1)];
+            fetch(records + RECORD_BYTES * (long)ahead.x);
+            fetch(records + RECORD_BYTES * (long)ahead.y);
+#endif
             const WIDE same = a == b ? 1 : 0;
             const WIDE m00 = same - (p[0] * p_b[0] + p[1] * p_b[1] + p[2] * p_b[2]);
             const WIDE m01 = -(p[0] * p_b[3] + p[1] * p_b[4] + p[2] * p_b[5]);
             const WIDE m10 = -(p[3] * p_b[0] + p[4] * p_b[1] + p[5] * p_b[2]);
             const WIDE m11 = same - (p[3] * p_b[3] + p[4] * p_b[4] + p[5] * p_b[5]);
+            // Columns past the last hold other numbers, and end in columns that are not written.
             const wide16 j0 = CONVERT_WIDE16(vload16(0, f_b));
-            const wide16 j1 = CONVERT_WIDE16(vload16(1, f_b));
+            const wide16 j1 = CONVERT_WIDE16(vload16(0, f_b + MAX_COLUMNS));
             const wide16 v0 = m00 * j0 + m01 * j1;
             const wide16 v1 = m10 * j0 + m11 * j1;
 #pragma unroll
-            for (int k = 0; k < MAX_COLUMNS; ++k) sum[k] += (WIDE)f[k] * v0 + (WIDE)f[16 + k] * v1;
+            for (int k = 0; k < MAX_COLUMNS; ++k) {
+                sum[k] += (WIDE)f[k] * v0;
+                sum[k] += (WIDE)f[MAX_COLUMNS + k] * v1;
+            }
         }
         global WIDE* out = blocks + block_offset[block];
         const int columns = block_columns[block];

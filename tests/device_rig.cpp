@@ -84,15 +84,15 @@ void set_shape(Context& context, const Shape& shape) {
 }
 
 Rig::Rig(const std::shared_ptr<Context>& context, const Problem& problem, Precision in_precision,
-         const DampingOptions& damping)
+         JacobianForm form, const DampingOptions& damping)
     : precision(in_precision),
       device(context, problem, precision),
       evaluator(device, problem),
-      equations(device, damping),
-      problem_(problem) {
+      equations(device, damping, form, problem.loss),
+      problem_(problem),
+      form_(form) {
     device.upload_state(problem);
     evaluator.linearize(equations);
-    equations.update_blocks();
 }
 
 CostEvaluation Rig::cost() {
@@ -106,8 +106,8 @@ CostEvaluation Rig::cost() {
     return evaluation;
 }
 
-template <class Visit>
-void Rig::visit_reals(const std::vector<Buffer>& slots, int rows_of(int), Visit&& visit) {
+template <class RowsOf, class Visit>
+void Rig::visit_reals(const std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit) {
     if (precision == Precision::double_precision)
         device.visit_slots<double>(slots, rows_of, visit);
     else
@@ -124,7 +124,7 @@ reference::Jacobian Rig::jacobian() {
     }
     jacobian.image_blocks.assign(num_observations * 2 * jacobian.columns, 0.0);
     jacobian.point_blocks.assign(num_observations * 6, 0.0);
-    visit_reals(equations.jacobian.blocks(), StoredJacobian::num_rows,
+    visit_reals(equations.jacobian.blocks(), Jacobian::num_block_rows,
                 [&](int64_t i, int columns, auto&& value) {
                     for (int row = 0; row < 2; ++row)
                         for (int k = 0; k < columns; ++k)
@@ -137,15 +137,14 @@ reference::Jacobian Rig::jacobian() {
     return jacobian;
 }
 
-bool Rig::padding_is_zero() {
+template <class RowsOf>
+bool Rig::padding_is_zero(const std::vector<Buffer>& slots, RowsOf&& rows_of) {
     int64_t num_nonzero = 0, num_of_observations = 0;
     const auto count = [](auto value, int64_t& total) { total += value == 0 ? 0 : 1; };
-    visit_reals(equations.jacobian.blocks(), StoredJacobian::num_rows,
-                [&](int64_t, int columns, auto&& value) {
-                    for (int k = 0; k < StoredJacobian::num_rows(columns); ++k)
-                        count(value(k), num_of_observations);
-                });
-    for (const Buffer& buffer : equations.jacobian.blocks()) {
+    visit_reals(slots, rows_of, [&](int64_t, int columns, auto&& value) {
+        for (int k = 0; k < rows_of(columns); ++k) count(value(k), num_of_observations);
+    });
+    for (const Buffer& buffer : slots) {
         const auto n = static_cast<int64_t>(buffer.bytes() / real_bytes(precision));
         if (precision == Precision::double_precision) {
             const auto values = buffer.map_read<double>();
@@ -158,9 +157,19 @@ bool Rig::padding_is_zero() {
     return num_nonzero == num_of_observations;
 }
 
+bool Rig::padding_is_zero() {
+    const bool has_loss = problem_.loss.kind != LossKind::none;
+    const int num_view_rows = 3 + (problem_.whitening.empty() ? has_loss : 3);
+    const auto num_rows = [&](int columns) {
+        return form_ == JacobianForm::stored ? Jacobian::num_block_rows(columns) : num_view_rows;
+    };
+    return padding_is_zero(equations.jacobian.rows(), num_rows) &&
+           padding_is_zero(equations.jacobian.blocks(), Jacobian::num_block_rows);
+}
+
 std::vector<double> Rig::product() {
     std::vector<double> y(2 * problem_.observations.size());
-    visit_reals(equations.jacobian.product(), StoredJacobian::num_product_rows,
+    visit_reals(equations.jacobian.product(), Jacobian::num_product_rows,
                 [&](int64_t i, int, auto&& value) {
                     y[2 * i] = static_cast<double>(value(0));
                     y[2 * i + 1] = static_cast<double>(value(1));
@@ -171,7 +180,7 @@ std::vector<double> Rig::product() {
 void Rig::set_product(const std::vector<double>& y) {
     const auto fill = [&](auto zero) {
         using Real = decltype(zero);
-        device.fill_slots<Real>(equations.jacobian.product(), StoredJacobian::num_product_rows,
+        device.fill_slots<Real>(equations.jacobian.product(), Jacobian::num_product_rows,
                                 [&](int64_t i, int, auto&& value) {
                                     value(0) = static_cast<Real>(y[2 * i]);
                                     value(1) = static_cast<Real>(y[2 * i + 1]);
@@ -181,6 +190,18 @@ void Rig::set_product(const std::vector<double>& y) {
         fill(double{});
     else
         fill(float{});
+}
+
+std::vector<double> Rig::gradient() {
+    Vector full = device.make_vector("test");
+    equations.get_gradient(full);
+    return download(full);
+}
+
+std::vector<double> Rig::damping() {
+    Vector full = device.make_vector("test");
+    equations.get_damping(full);
+    return download(full);
 }
 
 Vector Rig::upload(const std::vector<double>& values) {
@@ -221,25 +242,44 @@ std::vector<std::vector<double>> Rig::image_matrices(const Buffer& packed) {
     return matrices;
 }
 
-std::vector<double> Rig::point_matrices(const std::vector<Buffer>& rows, bool are_reals) {
-    constexpr int places[] = {0, 3, 4, 6, 7, 8};  // of xx, yx, yy, zx, zy, zz
-    std::vector<double> matrices(9 * problem_.points.size(), 0.0);
+std::vector<double> Rig::point_values(const std::vector<Buffer>& rows, size_t num_rows) {
+    std::vector<double> of_points(num_rows * problem_.points.size(), 0.0);
     for (size_t c = 0; c < rows.size(); ++c) {
         const std::vector<int32_t>& slot_point = device.tiles().chunks[c].slot_point;
         const auto read = [&](auto&& values) {
             for (size_t slot = 0; slot < slot_point.size(); ++slot)
-                for (size_t k = 0; slot_point[slot] >= 0 && k < 6; ++k)
-                    matrices[9 * static_cast<size_t>(slot_point[slot]) +
-                             static_cast<size_t>(places[k])] =
+                for (size_t k = 0; slot_point[slot] >= 0 && k < num_rows; ++k)
+                    of_points[num_rows * static_cast<size_t>(slot_point[slot]) + k] =
                         static_cast<double>(
                             values[static_cast<int64_t>(k * slot_point.size() + slot)]);
         };
-        if (are_reals && precision == Precision::mixed)
+        if (precision == Precision::mixed)
             read(rows[c].map_read<float>());
         else
             read(rows[c].map_read<double>());
     }
+    return of_points;
+}
+
+std::vector<double> Rig::point_matrices(const std::vector<Buffer>& rows) {
+    constexpr size_t places[] = {0, 3, 4, 6, 7, 8};  // of xx, yx, yy, zx, zy, zz
+    const std::vector<double> values = point_values(rows, 6);
+    std::vector<double> matrices(9 * problem_.points.size(), 0.0);
+    for (size_t p = 0; p < problem_.points.size(); ++p)
+        for (size_t k = 0; k < 6; ++k) matrices[9 * p + places[k]] = values[6 * p + k];
     return matrices;
+}
+
+std::vector<double> Rig::point_blocks() {
+    const std::vector<double> roots = point_matrices(equations.point_roots);
+    std::vector<double> blocks(roots.size(), 0.0);
+    for (size_t at = 0; at < roots.size(); at += 9)
+        for (size_t row = 0; row < 3; ++row)
+            for (size_t column = 0; column < 3; ++column)
+                for (size_t k = 0; k < 3; ++k)
+                    blocks[at + 3 * row + column] +=
+                        roots[at + 3 * row + k] * roots[at + 3 * column + k];
+    return blocks;
 }
 
 std::vector<double> Rig::scales() {

@@ -53,18 +53,19 @@ inline double epsilon(Precision precision) {
                : static_cast<double>(std::numeric_limits<float>::epsilon());
 }
 
-// A problem on the device, linearised at its state, with U, V and D^2. Results are in the caller's
-// order.
+// A problem on the device, linearised at its state. Results are in the caller's order.
 class Rig {
 public:
     Rig(const std::shared_ptr<Context>& context, const Problem& problem, Precision precision,
-        const DampingOptions& damping = {});
+        JacobianForm form, const DampingOptions& damping = {});
 
     CostEvaluation cost();  // fills residuals
     reference::Jacobian jacobian();
-    bool padding_is_zero();  // of the stored Jacobian
+    bool padding_is_zero();  // of what is kept of the Jacobian, and of its blocks
     std::vector<double> product();
     void set_product(const std::vector<double>& y);
+    std::vector<double> gradient();
+    std::vector<double> damping();
 
     Vector upload(const std::vector<double>& values);          // F and E
     Vector upload_reduced(const std::vector<double>& values);  // F alone
@@ -73,7 +74,10 @@ public:
 
     // Row-major lower triangles, the rest 0: a block each, and 9 numbers a point.
     std::vector<std::vector<double>> image_matrices(const Buffer& packed);
-    std::vector<double> point_matrices(const std::vector<Buffer>& rows, bool are_reals);
+    std::vector<double> point_matrices(const std::vector<Buffer>& rows);
+    std::vector<double> point_blocks();  // V = L L^T of the roots: 9 numbers a point
+    // Rows of REAL a chunk: num_rows numbers a point.
+    std::vector<double> point_values(const std::vector<Buffer>& rows, size_t num_rows);
     std::vector<double> scales();  // of all parameters
 
     Precision precision;
@@ -83,10 +87,13 @@ public:
     std::vector<double> residuals;
 
 private:
-    template <class Visit>
-    void visit_reals(const std::vector<Buffer>& slots, int rows_of(int), Visit&& visit);
+    template <class RowsOf, class Visit>
+    void visit_reals(const std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit);
+    template <class RowsOf>
+    bool padding_is_zero(const std::vector<Buffer>& slots, RowsOf&& rows_of);
 
     Problem problem_;
+    JacobianForm form_;
 };
 
 }  // namespace clba::test

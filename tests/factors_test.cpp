@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "base/error.hpp"
 #include "device_rig.hpp"
 #include "reference/bundle.hpp"
 #include "test_problems.hpp"
@@ -128,42 +129,82 @@ protected:
     std::unique_ptr<Queue> queue_;
 };
 
+// L of point p with a condition of about 10, except that each kind of trouble comes up: a row of
+// zeros, NaN and infinities, in free and in constant rows.
+RowMajorMatrix planted_root(size_t p) {
+    const std::vector<double> numbers = test::random_vector(6, p + 1);
+    RowMajorMatrix root = RowMajorMatrix::Zero(3, 3);
+    for (int row = 0, next = 0; row < 3; ++row)
+        for (int k = 0; k <= row; ++k)
+            root(row, k) = static_cast<float>(numbers[static_cast<size_t>(next++)]);
+    for (int k = 0; k < 3; ++k) root(k, k) = std::abs(root(k, k)) + 0.5;
+    root = root.cast<float>().cast<double>();
+    const int row = static_cast<int>(p) % 3;
+    if (p % 17 == 3) root.row(row).setZero();
+    if (p % 17 == 9) root(row, 0) = nan;
+    if (p % 17 == 12) root(row, row) = infinity;
+    return root;
+}
+
+// V = L L^T of planted roots, damped by the three policies: with none of V's diagonal for a point
+// that has none, `marquardt` leaves a 0 there.
 TEST_P(FactorsTest, PointBlocks) {
     constexpr int places[6][2] = {{0, 0}, {1, 0}, {1, 1}, {2, 0}, {2, 1}, {2, 2}};
-    for (size_t n : {1, 2, 63, 64, 65, 311}) {
-        for (bool has_scales : {true, false}) {
-            SCOPED_TRACE(testing::Message() << n << " points, scales " << has_scales);
-            std::vector<Block> blocks = planted_blocks(std::vector<int>(n, 3));
-            std::vector<double> v(6 * n), d2(3 * n), scale(3 * n);
-            for (size_t p = 0; p < n; ++p) {
-                if (!has_scales) blocks[p].scale.assign(3, 1.0);
-                for (size_t k = 0; k < 6; ++k)
-                    v[k * n + p] = blocks[p].a(places[k][0], places[k][1]);
-                for (size_t k = 0; k < 3; ++k) {
-                    d2[k * n + p] = blocks[p].d2[k];
-                    scale[k * n + p] = blocks[p].scale[k];
-                }
+    constexpr double smallest = 0, largest = 0.7;
+    const auto launch_and_check = [&](size_t n, int32_t policy, bool has_scales) {
+        SCOPED_TRACE(testing::Message()
+                     << n << " points, policy " << policy << ", scales " << has_scales);
+        std::vector<Block> blocks;
+        std::vector<float> roots(6 * n);
+        std::vector<double> scale(3 * n), fixed(3 * n);
+        for (size_t p = 0; p < n; ++p) {
+            const RowMajorMatrix root = planted_root(p);
+            const std::vector<double> numbers = test::random_vector(6, n + p);
+            Block block;
+            block.a = root * root.transpose();
+            std::vector<double> diagonal, at_start;
+            for (size_t k = 0; k < 3; ++k) {
+                const bool is_constant = p % 3 == 1 && numbers[k] > 0.4;
+                block.scale.push_back(!has_scales ? 1.0 : is_constant ? 0.0 : 2.0);
+                const auto row = static_cast<int>(k);
+                diagonal.push_back(block.a(row, row));
+                at_start.push_back(1 + numbers[3 + k]);
+                scale[k * n + p] = block.scale[k];
             }
-            const int64_t groups = num_groups(static_cast<int64_t>(n));
-            Buffer failures = make_failures(groups);
-            Buffer factors = upload(std::vector<float>(6 * n, 1e9f));
-            const Buffer device_v = upload(v), device_d2 = upload(d2), device_scale = upload(scale);
-            queue_->launch(Step::vector, kernel("factor_point_blocks"), groups, lambda,
-                           static_cast<int32_t>(n), device_v, has_scales ? &device_scale : nullptr,
-                           device_d2, factors, failures);
-            const Twin twin = twin_factors(blocks);
-            EXPECT_EQ(sum(failures), twin.num_failures);
-            EXPECT_EQ(twin.num_failures > 0, n > 3);
-            const auto values = download<float>(factors);
-            for (size_t p = 0; p < n; ++p) {
-                RowMajorMatrix g = RowMajorMatrix::Zero(3, 3);
-                for (size_t k = 0; k < 6; ++k)
-                    g(places[k][0], places[k][1]) = static_cast<double>(values[k * n + p]);
-                SCOPED_TRACE(testing::Message() << "point " << p);
-                expect_equal(g, twin.factors[p], test::epsilon(Precision::mixed));
-            }
+            block.d2 = reference::damping_diagonal(policy, smallest, largest, block.scale, diagonal,
+                                                   at_start);
+            for (size_t k = 0; k < 3; ++k) fixed[k * n + p] = block.d2[k];
+            for (size_t k = 0; k < 6; ++k)
+                roots[k * n + p] = static_cast<float>(root(places[k][0], places[k][1]));
+            blocks.push_back(std::move(block));
         }
-    }
+        const int64_t groups = num_groups(static_cast<int64_t>(n));
+        Buffer failures = make_failures(groups);
+        Buffer factors = upload(std::vector<float>(6 * n, 1e9f));
+        const Buffer device_roots = upload(roots), device_scale = upload(scale),
+                     device_fixed = upload(fixed);
+        queue_->launch(Step::vector,
+                       queue_->kernel("factors.cl", "factor_point_blocks",
+                                      text("-DREAL=float -DMAX_BLOCK=14 -DDAMPING=", policy,
+                                           " -DSCALED_POINTS=", has_scales ? 1 : 0)),
+                       groups, smallest, largest, lambda, static_cast<int32_t>(n), device_roots,
+                       has_scales ? &device_scale : nullptr, policy == 2 ? &device_fixed : nullptr,
+                       factors, failures);
+        const Twin twin = twin_factors(blocks);
+        EXPECT_EQ(sum(failures), twin.num_failures);
+        EXPECT_EQ(twin.num_failures > 0, policy == 1 ? n > 3 : n > 9);
+        const auto values = download<float>(factors);
+        for (size_t p = 0; p < n; ++p) {
+            RowMajorMatrix g = RowMajorMatrix::Zero(3, 3);
+            for (size_t k = 0; k < 6; ++k)
+                g(places[k][0], places[k][1]) = static_cast<double>(values[k * n + p]);
+            SCOPED_TRACE(testing::Message() << "point " << p);
+            expect_equal(g, twin.factors[p], test::epsilon(Precision::mixed));
+        }
+    };
+    for (size_t n : {1, 2, 63, 64, 65, 311})
+        for (int32_t policy : {1, 2, 3})
+            for (bool has_scales : {true, false}) launch_and_check(n, policy, has_scales);
 }
 
 TEST_P(FactorsTest, ImageBlocks) {

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every kernel over a problem against its serial twin in src/reference. Products, blocks and
-// factors are given the Jacobian that the device stored, so that each test sees one kernel's error.
+// factors are given the Jacobian's blocks that the device has, so that each test sees one kernel's
+// error.
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -14,6 +16,7 @@
 #include <vector>
 
 #include "device_rig.hpp"
+#include "linear/linear_solver.hpp"
 #include "reference/bundle.hpp"
 #include "test_problems.hpp"
 
@@ -33,6 +36,7 @@ struct Case {
     std::string name;
     Problem problem;
     Precision precision;
+    JacobianForm form;
     test::Shape shape;
     uint64_t max_allocation_bytes = 0;
 };
@@ -43,7 +47,8 @@ std::ostream& operator<<(std::ostream& stream, const Case& c) {
 
 std::string case_name(const Case& c) {
     return c.name + "_" + c.shape.name +
-           (c.precision == Precision::double_precision ? "_double" : "_mixed");
+           (c.precision == Precision::double_precision ? "_double" : "_mixed") +
+           (c.form == JacobianForm::stored ? "_stored" : "_recomputed");
 }
 
 std::vector<double> absolute(std::vector<double> values) {
@@ -55,6 +60,19 @@ reference::Jacobian absolute(reference::Jacobian jacobian) {
     jacobian.image_blocks = absolute(jacobian.image_blocks);
     jacobian.point_blocks = absolute(jacobian.point_blocks);
     return jacobian;
+}
+
+reference::Jacobian sum(reference::Jacobian a, const reference::Jacobian& b) {
+    for (size_t i = 0; i < a.image_blocks.size(); ++i) a.image_blocks[i] += b.image_blocks[i];
+    for (size_t i = 0; i < a.point_blocks.size(); ++i) a.point_blocks[i] += b.point_blocks[i];
+    return a;
+}
+
+// Entry by entry.
+reference::Jacobian product(reference::Jacobian a, const reference::Jacobian& b) {
+    for (size_t i = 0; i < a.image_blocks.size(); ++i) a.image_blocks[i] *= b.image_blocks[i];
+    for (size_t i = 0; i < a.point_blocks.size(); ++i) a.point_blocks[i] *= b.point_blocks[i];
+    return a;
 }
 
 std::vector<double> sum(std::vector<double> a, const std::vector<double>& b, double factor) {
@@ -77,6 +95,25 @@ void expect_near(const std::vector<double>& a, const std::vector<double>& b,
             << b[i] << "; they may differ by " << factor * bound[i];
 }
 
+void level(double* first, double* second) {
+    const double most =
+        std::max(*std::max_element(first, first + 3), *std::max_element(second, second + 3));
+    std::fill_n(first, 3, most);
+    std::fill_n(second, 3, most);
+}
+
+// Rotation, position and point of each observation get the largest magnitude of their block: that
+// of the terms which a product with blocks never formed adds up, some of which cancel in the block.
+reference::Jacobian levelled(reference::Jacobian j) {
+    for (int64_t i = 0; i < j.num_observations(); ++i) {
+        double* image = j.image_blocks.data() + 2 * i * j.columns;
+        for (int first : {0, 3}) level(image + first, image + j.columns + first);
+        double* point = j.point_blocks.data() + 6 * i;
+        level(point, point + 3);
+    }
+    return j;
+}
+
 // Bounds on the rounding errors, over epsilon, of residuals and derivatives in double precision.
 // Coordinates in the camera's frame, P = R X + t, have an error of |R| |X| + |t|, which the
 // derivatives A of the pixels carry on to the residuals, and which is relative to P.z in u, v and
@@ -90,8 +127,9 @@ struct Rounding {
         bare.constant_points.clear();
         const ParameterLayout bare_layout(bare);
         const reference::Jacobian unweighted = absolute(reference::jacobian(bare, bare_layout));
-        jacobian = unweighted;
-        spread_intrinsics(bare, jacobian);
+        terms = levelled(unweighted);
+        spread_intrinsics(bare, terms);
+        jacobian = terms;
         const int columns = jacobian.columns;
         for (size_t i = 0; i < problem.observations.size(); ++i) {
             const Observation& observation = problem.observations[i];
@@ -130,10 +168,10 @@ struct Rounding {
 
     std::vector<double> residuals;
     reference::Jacobian jacobian;
+    reference::Jacobian terms;  // of what is added up to make the derivatives
 
 private:
-    // Groups of columns have one scale: rotation, position, point, and each intrinsic parameter
-    // over all observations of an image.
+    // Each intrinsic parameter has one scale over all observations of an image.
     static void spread_intrinsics(const Problem& problem, reference::Jacobian& j) {
         std::vector<std::vector<double>> largest(
             problem.images.size(), std::vector<double>(static_cast<size_t>(j.columns), 0.0));
@@ -149,18 +187,6 @@ private:
         for_each_row([&](std::vector<double>& most, double* row) {
             for (int k = num_pose_params; k < j.columns; ++k) row[k] = most[k];
         });
-        for (int64_t i = 0; i < j.num_observations(); ++i) {
-            double* top = j.image_blocks.data() + 2 * i * j.columns;
-            for (int first : {0, 3}) level({top + first, top + j.columns + first});
-            double* point = j.point_blocks.data() + 6 * i;
-            level({point, point + 3});
-        }
-    }
-    static void level(std::pair<double*, double*> rows) {
-        const double most = std::max(*std::max_element(rows.first, rows.first + 3),
-                                     *std::max_element(rows.second, rows.second + 3));
-        std::fill_n(rows.first, 3, most);
-        std::fill_n(rows.second, 3, most);
     }
     static void scale_blocks(reference::Jacobian& j, size_t i, double factor) {
         const auto columns = static_cast<size_t>(j.columns);
@@ -210,7 +236,8 @@ std::vector<double> with_damping(std::vector<double> lower, const double* d2) {
 }
 
 // Errors of an inverse factor G grow with the condition of A scaled to unit diagonal (van der
-// Sluis), relative to G D^1/2 with D = diag(A). real_epsilon is that of its storage.
+// Sluis), relative to G D^1/2 with D = diag(A). real_epsilon is that of its storage; its square roots, quotients
+// and products are computed in it too, from pivots in double.
 void expect_inverse_factor(const std::vector<double>& a, const double* scale,
                            const std::vector<double>& g, double real_epsilon) {
     const auto n = static_cast<int>(std::lround(std::sqrt(a.size())));
@@ -242,7 +269,7 @@ void expect_inverse_factor(const std::vector<double>& a, const double* scale,
             const double tolerance = is_zero
                                          ? 0
                                          : slack * n * double_epsilon * condition * bound(row, k) +
-                                               real_epsilon * std::abs(twin[at]);
+                                               8 * real_epsilon * std::abs(twin[at]);
             ASSERT_TRUE(std::abs(g[at] - twin[at]) <= tolerance)
                 << "factor " << row << ' ' << k << " of " << n << ": " << g[at]
                 << ", but the twin has " << twin[at] << "; they may differ by " << tolerance;
@@ -256,9 +283,10 @@ protected:
     void SetUp() override {
         const auto context = test::test_context(GetParam().max_allocation_bytes);
         test::set_shape(*context, GetParam().shape);
-        rig_ = std::make_unique<Rig>(context, problem(), precision());
+        rig_ = std::make_unique<Rig>(context, problem(), precision(), GetParam().form);
         jacobian_ = rig_->jacobian();
         absolute_ = absolute(jacobian_);
+        if (is_recomputed()) absolute_ = levelled(absolute_);
         std::vector<double> of_image(problem().images.size(), 0),
             of_point(problem().points.size(), 0);
         for (const Observation& o : problem().observations)
@@ -269,14 +297,62 @@ protected:
 
     const Problem& problem() const { return GetParam().problem; }
     Precision precision() const { return GetParam().precision; }
+    bool is_recomputed() const { return GetParam().form == JacobianForm::recomputed; }
+    double real_epsilon() const { return test::epsilon(precision()); }
     const ParameterLayout& layout() const { return rig_->device.layout(); }
     int64_t num_parameters() const { return layout().num_parameters(problem()); }
     // Of a sum in REAL, and in double, over all observations of an image or a point.
-    double real_bound() const { return test::epsilon(precision()) * (most_terms_ + 4); }
+    double real_bound() const { return real_epsilon() * (most_terms_ + 4); }
     double double_bound() const { return double_epsilon * (4 * most_terms_ + 4); }
+    // Of blocks: products of rows in REAL, whose sums over a piece of 128 slots make an error of
+    // the square root of their number, added up in double.
+    double block_bound() const { return slack * real_epsilon() + double_bound(); }
+
+    // Derivatives in double precision with the columns of constant parameters, which the device
+    // keeps in its diagonal and in V.
+    reference::Jacobian free_jacobian() const {
+        Problem free = problem();
+        free.constant_images.clear();
+        free.constant_cameras.clear();
+        free.constant_points.clear();
+        return reference::jacobian(free, ParameterLayout(free));
+    }
+    // V^-1 r of each point, and the same of magnitudes.
+    std::vector<double> point_solution(const std::vector<double>& factors,
+                                       const std::vector<double>& r) const {
+        std::vector<double> z(r.size());
+        for (size_t p = 0; 3 * p < r.size(); ++p) {
+            const Eigen::Matrix3d g =
+                Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(factors.data() +
+                                                                               9 * p);
+            Eigen::Map<Eigen::Vector3d>(z.data() + 3 * p) =
+                g.transpose() * (g * Eigen::Map<const Eigen::Vector3d>(r.data() + 3 * p));
+        }
+        return z;
+    }
+    // (x_F, 0) and (0, x_E).
+    std::vector<double> of_images(std::vector<double> f) const {
+        f.resize(static_cast<size_t>(num_parameters()), 0.0);
+        return f;
+    }
+    std::vector<double> of_points(const std::vector<double>& e) const {
+        std::vector<double> x(static_cast<size_t>(layout().num_f), 0.0);
+        x.insert(x.end(), e.begin(), e.end());
+        return x;
+    }
+    std::vector<double> points_of(const std::vector<double>& x) const {
+        return {x.begin() + layout().num_f, x.end()};
+    }
+    std::vector<double> jx(const reference::Jacobian& j, const std::vector<double>& x) const {
+        return reference::jx(problem(), layout(), j, x);
+    }
+    std::vector<double> jty(const reference::Jacobian& j, const std::vector<double>& y) const {
+        return reference::jty(problem(), layout(), j, y);
+    }
 
     std::unique_ptr<Rig> rig_;
-    reference::Jacobian jacobian_, absolute_;  // what the device stored
+    reference::Jacobian jacobian_;  // what the device has
+    reference::Jacobian absolute_;  // magnitudes of what products with it add up
     double most_terms_ = 0;
 };
 
@@ -301,24 +377,78 @@ TEST_P(KernelTest, JacobianAndGradient) {
     mask_constants(problem(), layout(), rounding.jacobian);
     mask_constants(problem(), layout(), jacobian_);
     EXPECT_TRUE(rig_->padding_is_zero());
-    const double stored =
-        precision() == Precision::mixed ? test::epsilon(precision()) / (slack * double_epsilon) : 0;
+    // Blocks that are stored are rounded to REAL once; the others are computed in REAL from u, v,
+    // 1 / z and a weight that are rounded to it.
+    reference::Jacobian in_real = absolute(wanted);
+    double real_share = precision() == Precision::mixed ? real_epsilon() : 0;
+    if (is_recomputed()) {
+        in_real = rounding.terms;
+        mask_constants(problem(), layout(), in_real);
+        real_share = slack * real_epsilon();
+    }
+    real_share /= slack * double_epsilon;
     expect_near(jacobian_.image_blocks, wanted.image_blocks,
-                sum(rounding.jacobian.image_blocks, absolute(wanted.image_blocks), stored),
+                sum(rounding.jacobian.image_blocks, in_real.image_blocks, real_share),
                 slack * double_epsilon, "image block value");
     expect_near(jacobian_.point_blocks, wanted.point_blocks,
-                sum(rounding.jacobian.point_blocks, absolute(wanted.point_blocks), stored),
+                sum(rounding.jacobian.point_blocks, in_real.point_blocks, real_share),
                 slack * double_epsilon, "point block value");
 
     std::vector<double> r(2 * problem().observations.size());
     reference::residual(problem(), r.data());
     const reference::Jacobian size = absolute(wanted);
-    std::vector<double> bound = reference::jty(problem(), layout(), size, rounding.residuals);
-    bound = sum(bound, reference::jty(problem(), layout(), rounding.jacobian, absolute(r)), 1);
-    bound = sum(bound, reference::jty(problem(), layout(), size, absolute(r)), most_terms_);
-    expect_near(rig_->download(rig_->equations.gradient),
-                reference::jty(problem(), layout(), wanted, r), bound, slack * double_epsilon,
-                "gradient");
+    const std::vector<double> gradient = jty(wanted, r);
+    std::vector<double> bound = jty(size, rounding.residuals);
+    bound = sum(bound, jty(rounding.jacobian, absolute(r)), 1);
+    bound = sum(bound, jty(size, absolute(r)), most_terms_);
+    // Of the points it is rounded to REAL.
+    bound = sum(bound, of_points(points_of(absolute(gradient))),
+                real_epsilon() / (slack * double_epsilon));
+    const std::vector<double> device_gradient = rig_->gradient();
+    expect_near(device_gradient, gradient, bound, slack * double_epsilon, "gradient");
+
+    double largest = 0;
+    for (double g : device_gradient) largest = std::max(largest, std::abs(g));
+    EXPECT_NEAR(rig_->equations.gradient_max_norm(), largest, real_epsilon() * largest);
+}
+
+TEST_P(KernelTest, LargestGradientOfTiles) {
+    const std::vector<double> gradient = points_of(rig_->gradient());
+    for (bool is_planted : {false, true}) {
+        // A coordinate of the last point that is seen is no number.
+        int32_t point_of_nan = -1;
+        if (is_planted) {
+            for (const Observation& o : problem().observations)
+                point_of_nan = std::max(point_of_nan, o.point);
+            if (point_of_nan < 0 || point_scale(problem(), point_of_nan)[0] == 0) return;
+            Problem planted = problem();
+            planted.points[static_cast<size_t>(point_of_nan)][1] =
+                std::numeric_limits<double>::quiet_NaN();
+            rig_->device.upload_state(planted);
+            rig_->evaluator.linearize(rig_->equations);
+            EXPECT_EQ(rig_->equations.gradient_max_norm(), std::numeric_limits<double>::infinity());
+        }
+        const auto largest = rig_->equations.tile_max.map_read<double>();
+        int64_t next = 0;
+        for (const Chunk& chunk : rig_->device.tiles().chunks) {
+            for (int32_t tile = 0; tile < chunk.num_tiles(); ++tile) {
+                double wanted = 0;
+                for (int32_t k = 0; k < chunk.tile_num_points[tile]; ++k) {
+                    const int32_t point = chunk.slot_point[chunk.tile_points[tile] + k];
+                    for (int m = 0; m < 3; ++m)
+                        wanted = point == point_of_nan
+                                     ? std::numeric_limits<double>::infinity()
+                                     : std::max(wanted, std::abs(gradient[3 * point + m]));
+                    if (point == point_of_nan) break;
+                }
+                const double found = largest[next++];
+                EXPECT_TRUE(
+                    found == wanted ||
+                    (std::isfinite(wanted) && std::abs(found - wanted) <= real_epsilon() * wanted))
+                    << "tile " << tile << ": " << found << ", but the twin has " << wanted;
+            }
+        }
+    }
 }
 
 TEST_P(KernelTest, ProductsWithTheJacobian) {
@@ -328,7 +458,7 @@ TEST_P(KernelTest, ProductsWithTheJacobian) {
     const std::vector<double> product = rig_->product();
     expect_near(product, reference::jx(problem(), layout(), jacobian_, x),
                 reference::jx(problem(), layout(), absolute_, absolute(x)),
-                test::epsilon(precision()) * (jacobian_.columns + 6), "J x");
+                real_epsilon() * (jacobian_.columns + 6), "J x");
     const double squared_norm =
         std::inner_product(product.begin(), product.end(), product.begin(), 0.0);
     EXPECT_NEAR(rig_->equations.jacobian.squared_norm(device_x), squared_norm,
@@ -336,28 +466,79 @@ TEST_P(KernelTest, ProductsWithTheJacobian) {
 
     const std::vector<double> y = test::random_vector(2 * problem().num_observations(), 2);
     rig_->set_product(y);
-    Vector transposed = rig_->upload(x);  // to be overwritten
-    rig_->equations.jacobian.multiply_transposed(transposed);
+    Vector transposed = rig_->device.make_vector("test");
+    rig_->equations.jacobian.add_transposed(transposed);
     expect_near(rig_->download(transposed), reference::jty(problem(), layout(), jacobian_, y),
                 reference::jty(problem(), layout(), absolute_, absolute(y)), real_bound(), "J^T y");
 }
 
 TEST_P(KernelTest, DiagonalBlocks) {
-    const reference::NormalBlocks wanted = reference::normal_blocks(problem(), layout(), jacobian_);
-    const reference::NormalBlocks bound = reference::normal_blocks(problem(), layout(), absolute_);
+    const auto wanted = reference::normal_blocks(problem(), layout(), jacobian_).u;
+    const auto bound = reference::normal_blocks(problem(), layout(), absolute_).u;
     const auto u = rig_->image_matrices(rig_->equations.u());
     for (size_t b = 0; b < u.size(); ++b)
-        expect_near(u[b], lower_triangle(wanted.u[b]), bound.u[b], double_bound(), "U");
-    const std::vector<double> v = rig_->point_matrices(rig_->equations.v(), false);
-    for (size_t p = 0; p < problem().points.size(); ++p)
-        expect_near(point_matrix(v, p), lower_triangle(point_matrix(wanted.v, p)),
-                    point_matrix(bound.v, p), double_bound(), "V");
+        expect_near(u[b], lower_triangle(wanted[b]), bound[b], block_bound(), "U");
+}
+
+// With E = slack epsilon R the error of J: that of J_k^2 is below 2 |J_k| E_k + E_k^2.
+TEST_P(KernelTest, Diagonal) {
+    const Rounding rounding(problem());
+    const reference::Jacobian j = free_jacobian(), squares = product(j, j);
+    const std::vector<double> ones(2 * problem().observations.size(), 1.0);
+    std::vector<double> bound = jty(product(absolute(j), rounding.jacobian), ones);
+    bound = sum(bound, jty(product(rounding.jacobian, rounding.jacobian), ones),
+                slack * double_epsilon);
+    bound = sum(bound, jty(squares, ones), most_terms_);
+    expect_near(rig_->download_reduced(rig_->equations.diagonal),
+                reduced(layout(), jty(squares, ones)), reduced(layout(), bound),
+                2 * slack * double_epsilon, "diagonal");
+}
+
+// V = L L^T, where V comes from derivatives in double precision. Rounding L to REAL changes V by
+// epsilon |L| |L|^T <= epsilon sqrt(V_ii V_kk). The second pivot p has lost V_11 / p digits, which
+// come back where the third one is cut off at 0; p below 64 epsilon V_11 is taken for 0, and with
+// it what stands below, up to sqrt(p V_22).
+TEST_P(KernelTest, PointRoots) {
+    const Rounding rounding(problem());
+    const reference::Jacobian j = free_jacobian();
+    const auto blocks = [&](const reference::Jacobian& of) {
+        return reference::normal_blocks(problem(), layout(), of).v;
+    };
+    const std::vector<double> wanted = blocks(j), size = blocks(absolute(j)),
+                              error = blocks(rounding.jacobian),
+                              both = blocks(sum(absolute(j), rounding.jacobian));
+    const std::vector<double> v = rig_->point_blocks();
+    const std::vector<double> roots = rig_->point_matrices(rig_->equations.point_roots);
+    constexpr double scale = slack * double_epsilon;
+    for (size_t p = 0; p < problem().points.size(); ++p) {
+        const double v00 = wanted[9 * p], v10 = wanted[9 * p + 3], v11 = wanted[9 * p + 4];
+        const double lost = 64 * double_epsilon * v11;
+        const double pivot = std::max(v00 > 0 ? v11 - v10 * v10 / v00 : v11, lost);
+        const bool may_be_lost = pivot <= 2 * lost;
+        for (size_t row = 0; row < 3; ++row) {
+            EXPECT_GE(roots[9 * p + 4 * row], 0);
+            for (size_t k = 0; k <= row; ++k) {
+                const size_t at = 9 * p + 3 * row + k;
+                const double diagonal = std::sqrt(wanted[9 * p + 4 * row] * wanted[9 * p + 4 * k]);
+                double bound = scale * (both[at] - size[at] - error[at]) +
+                               scale * scale * error[at] + double_bound() * size[at] +
+                               (real_epsilon() + scale) * diagonal;
+                if (row == 1 && k == 1 && may_be_lost) bound += 2 * lost;
+                if (row == 2 && k == 1 && may_be_lost)
+                    bound += std::sqrt(2 * lost * wanted[9 * p + 8]);
+                if (k == 2 && pivot > 0) bound += scale * diagonal * v11 / pivot;
+                ASSERT_TRUE(std::abs(v[at] - wanted[at]) <= bound)
+                    << "V of point " << p << ' ' << row << ' ' << k << ": " << v[at]
+                    << ", but the twin has " << wanted[at] << "; they may differ by " << bound;
+            }
+        }
+    }
 }
 
 TEST_P(KernelTest, InverseFactors) {
     EXPECT_EQ(rig_->equations.factor_points(lambda), 0);
     EXPECT_EQ(rig_->equations.factor_images(lambda, rig_->equations.u()), 0);
-    const std::vector<double> d2 = rig_->download(rig_->equations.damping());
+    const std::vector<double> d2 = rig_->damping();
     const std::vector<double> scales = rig_->scales();
     const auto u = rig_->image_matrices(rig_->equations.u());
     const auto image_factors = rig_->image_matrices(rig_->equations.image_factors());
@@ -366,13 +547,13 @@ TEST_P(KernelTest, InverseFactors) {
         expect_inverse_factor(with_damping(u[b], d2.data() + offset), scales.data() + offset,
                               image_factors[b], 0);
     }
-    const auto v = rig_->point_matrices(rig_->equations.v(), false);
-    const auto point_factors = rig_->point_matrices(rig_->equations.point_factors(), true);
+    const auto v = rig_->point_blocks();
+    const auto point_factors = rig_->point_matrices(rig_->equations.point_factors());
     for (size_t p = 0; p < problem().points.size(); ++p) {
         const size_t offset = static_cast<size_t>(layout().num_f) + 3 * p;
         expect_inverse_factor(with_damping(point_matrix(v, p), d2.data() + offset),
                               scales.data() + offset, point_matrix(point_factors, p),
-                              test::epsilon(precision()));
+                              real_epsilon());
     }
 
     // z = G^T G r with the factors that the device stored.
@@ -401,17 +582,14 @@ TEST_P(KernelTest, InverseFactors) {
 // two terms. The twins subtract them, hence 2 U - S.
 TEST_P(KernelTest, SchurComplement) {
     ASSERT_EQ(rig_->equations.factor_points(lambda), 0);
-    const auto factors = rig_->point_matrices(rig_->equations.point_factors(), true);
+    const auto factors = rig_->point_matrices(rig_->equations.point_factors());
     const std::vector<double> no_damping(static_cast<size_t>(layout().num_f), 0.0);
     const std::vector<double> x = test::random_vector(layout().num_f, 4);
-    Vector y = rig_->upload_reduced(x);
-    rig_->equations.jacobian.schur_multiply(rig_->upload_reduced(x),
-                                            rig_->equations.point_factors(), y);
-    std::vector<double> image_side = absolute(x);
-    image_side.resize(static_cast<size_t>(num_parameters()), 0.0);
-    const std::vector<double> u_x = reduced(
-        layout(), reference::jty(problem(), layout(), absolute_,
-                                 reference::jx(problem(), layout(), absolute_, image_side)));
+    Vector y = rig_->device.make_reduced_vector("test");
+    rig_->equations.jacobian.add_schur_product(rig_->upload_reduced(x),
+                                               rig_->equations.point_factors(), y);
+    const std::vector<double> u_x =
+        reduced(layout(), jty(absolute_, jx(absolute_, of_images(absolute(x)))));
     const std::vector<double> bound =
         sum(sum(u_x, u_x, 1),
             reference::schur_product(problem(), layout(), absolute_, absolute(factors), no_damping,
@@ -430,8 +608,119 @@ TEST_P(KernelTest, SchurComplement) {
         reference::schur_diagonal_blocks(problem(), layout(), absolute_, absolute(factors));
     for (size_t b = 0; b < blocks.size(); ++b)
         expect_near(blocks[b], lower_triangle(wanted[b]),
-                    sum(sum(u[b], u[b], 1), difference[b], -1),
-                    slack * test::epsilon(precision()) + double_bound(), "block of S");
+                    sum(sum(u[b], u[b], 1), difference[b], -1), block_bound(), "block of S");
+}
+
+TEST_P(KernelTest, EliminationOfPoints) {
+    ASSERT_EQ(rig_->equations.factor_points(lambda), 0);
+    const auto factors = rig_->point_matrices(rig_->equations.point_factors());
+    const std::vector<double> g = points_of(rig_->gradient());
+    Vector y = rig_->upload_reduced(test::random_vector(layout().num_f, 4));  // to be overwritten
+    rig_->equations.jacobian.eliminate(rig_->equations.point_gradient,
+                                       rig_->equations.point_factors(), y);
+    const std::vector<double> wanted =
+        reduced(layout(), jty(jacobian_, jx(jacobian_, of_points(point_solution(factors, g)))));
+    const std::vector<double> bound = reduced(
+        layout(),
+        jty(absolute_, jx(absolute_, of_points(point_solution(absolute(factors), absolute(g))))));
+    expect_near(rig_->download_reduced(y), sum(std::vector<double>(wanted.size(), 0.0), wanted, -1),
+                bound, 4 * real_bound(), "-W V^-1 g");
+}
+
+TEST_P(KernelTest, BackSubstitution) {
+    ASSERT_EQ(rig_->equations.factor_points(lambda), 0);
+    Jacobian& jacobian = rig_->equations.jacobian;
+    const auto factors = rig_->point_matrices(rig_->equations.point_factors());
+    const std::vector<double> g = points_of(rig_->gradient());
+    std::vector<double> x = test::random_vector(layout().num_f, 8);
+    for (double& value : x) value *= 1e-3;
+    const BackSubstitution found = jacobian.back_substitute(
+        rig_->upload_reduced(x), rig_->equations.point_gradient, rig_->equations.point_factors());
+    const std::vector<double> step = rig_->point_values(jacobian.point_step(), 3);
+
+    const std::vector<double> right =
+        sum(g, points_of(jty(jacobian_, jx(jacobian_, of_images(x)))), 1);
+    const std::vector<double> size =
+        sum(absolute(g), points_of(jty(absolute_, jx(absolute_, of_images(absolute(x))))), 1);
+    const std::vector<double> minus_step = point_solution(factors, right);
+    expect_near(step, sum(std::vector<double>(step.size(), 0.0), minus_step, -1),
+                point_solution(absolute(factors), size), 4 * real_bound(), "step of points");
+
+    // What follows is of the step that the device found.
+    std::vector<double> points, trial;
+    rig_->device.state.points.swap(rig_->device.trial.points);
+    Problem moved = problem();
+    rig_->device.download_state(moved);
+    for (size_t p = 0; p < moved.points.size(); ++p) {
+        points.insert(points.end(), problem().points[p].begin(), problem().points[p].end());
+        trial.insert(trial.end(), moved.points[p].begin(), moved.points[p].end());
+    }
+    expect_near(trial, sum(points, step, 1), sum(absolute(points), absolute(step), 1),
+                double_epsilon, "trial point");
+    double slope = 0, slope_size = 0, squared_steps = 0, squared_norm = 0, norm_error = 0;
+    for (size_t i = 0; i < step.size(); ++i) {
+        slope += g[i] * step[i];
+        slope_size += std::abs(g[i] * step[i]);
+        squared_steps += step[i] * step[i];
+    }
+    const double terms = static_cast<double>(step.size() + 8);
+    EXPECT_NEAR(found.slope, slope, double_epsilon * terms * slope_size);
+    EXPECT_NEAR(found.squared_point_steps, squared_steps, double_epsilon * terms * squared_steps);
+    const std::vector<double> full = sum(of_images(x), of_points(step), 1);
+    const std::vector<double> j_step = jx(jacobian_, full), j_size = jx(absolute_, absolute(full));
+    const double error = real_epsilon() * (jacobian_.columns + 6);
+    for (size_t i = 0; i < j_step.size(); ++i) {
+        squared_norm += j_step[i] * j_step[i];
+        norm_error += (2 * std::abs(j_step[i]) + error * j_size[i]) * error * j_size[i];
+    }
+    EXPECT_NEAR(found.squared_norm, squared_norm,
+                norm_error + real_bound() * squared_norm +
+                    double_epsilon * static_cast<double>(j_step.size()) * squared_norm);
+}
+
+TEST_P(KernelTest, StepOfAllParameters) {
+    const std::vector<double> scales = rig_->scales(), g = rig_->gradient();
+    std::vector<double> step = test::random_vector(num_parameters(), 9);
+    for (size_t k = 0; k < step.size(); ++k) step[k] *= scales[k] > 0 ? 1e-3 : 0;
+    LinearSolution solution;
+    take_step(rig_->equations, rig_->upload(g), rig_->upload(step), solution);
+    const std::vector<double> j_step = jx(jacobian_, step), j_size = jx(absolute_, absolute(step));
+    const double error = real_epsilon() * (jacobian_.columns + 6);
+    double decrease = 0, tolerance = 0, squared_step = 0;
+    const double sum_error = double_epsilon * static_cast<double>(step.size() + j_step.size() + 8);
+    for (size_t i = 0; i < step.size(); ++i) {
+        decrease -= g[i] * step[i];
+        tolerance += sum_error * std::abs(g[i] * step[i]);
+        squared_step += step[i] * step[i];
+    }
+    for (size_t i = 0; i < j_step.size(); ++i) {
+        decrease -= 0.5 * j_step[i] * j_step[i];
+        tolerance += (std::abs(j_step[i]) + error * j_size[i]) * error * j_size[i] +
+                     sum_error * j_step[i] * j_step[i];
+    }
+    EXPECT_NEAR(solution.model_decrease, decrease, tolerance);
+    EXPECT_NEAR(solution.step_norm, std::sqrt(squared_step), sum_error * std::sqrt(squared_step));
+    Problem moved = problem(), wanted = problem();
+    apply_step(layout(), step.data(), wanted);
+    rig_->device.state.swap(rig_->device.trial);
+    rig_->device.download_state(moved);
+    EXPECT_EQ(moved.points, wanted.points);
+    for (size_t c = 0; c < wanted.cameras.size(); ++c)
+        EXPECT_EQ(moved.cameras[c].params, wanted.cameras[c].params);
+}
+
+// A step that is rejected leaves the Jacobian to the next one.
+TEST_P(KernelTest, CostOfATrialLeavesTheJacobian) {
+    std::vector<double> step = test::random_vector(num_parameters(), 10);
+    const std::vector<double> scales = rig_->scales();
+    for (size_t k = 0; k < step.size(); ++k) step[k] *= scales[k] > 0 ? 0.1 : 0;
+    const Vector device_step = rig_->upload(step);
+    rig_->equations.jacobian.multiply(device_step);
+    const std::vector<double> product = rig_->product();
+    rig_->device.update(device_step);
+    rig_->evaluator.cost(rig_->device.trial, nullptr);
+    rig_->equations.jacobian.multiply(device_step);
+    EXPECT_EQ(rig_->product(), product);
 }
 
 TEST_P(KernelTest, StateUpdateAndImageRecords) {
@@ -450,7 +739,7 @@ TEST_P(KernelTest, StateUpdateAndImageRecords) {
     rig_->device.download_state(moved);
     const double tolerance = 8 * double_epsilon;
     rig_->device.update_image_records(rig_->device.state);
-    const auto records = rig_->device.image_records.map_read<double>();
+    const auto records = rig_->device.state.image_records.map_read<double>();
     for (size_t i = 0; i < wanted.images.size(); ++i) {
         const Pose &pose = wanted.images[i].pose, &device_pose = moved.images[i].pose;
         const double* d = step.data() + layout().pose_offset[i];
@@ -490,6 +779,36 @@ Problem one_observation() {
     return problem;
 }
 
+// Points seen once: V has rank 2. Rays of most of them are within an angle of 10^-k, or 0, of the
+// plane z = 0, where the block of x and y alone is close to singular.
+Problem seen_once() {
+    Problem problem;
+    problem.cameras.resize(1);
+    problem.cameras[0].model = camera_simple_pinhole;
+    problem.cameras[0].params = {800, 400, 300};
+    // Looks along x + y: the rows of R are the camera's axes.
+    const double half = std::sqrt(0.5);
+    Eigen::Matrix3d rotation;
+    rotation << half, -half, 0, 0, 0, -1, half, half, 0;
+    const Eigen::Quaterniond q(rotation);
+    problem.images.resize(1);
+    problem.images[0].pose.rotation = {q.w(), q.x(), q.y(), q.z()};
+    for (int k = 0; k <= 18; ++k) {
+        const double height = k == 0 ? 0 : std::pow(10.0, -k);
+        problem.points.push_back({2, 2, height});
+        problem.points.push_back({1, 3, height});
+    }
+    for (int32_t p = 0; p < problem.num_points(); ++p)
+        problem.observations.push_back({0, p, 400.0 + p, 300});
+    problem.validate();
+    return problem;
+}
+
+// Runs are longer than the 128 slots of a piece (kernels/blocks.cl).
+Problem many_points() {
+    return test::small_scene(4, 3000, {camera_snavely}, false, 33);
+}
+
 Problem nothing_observed() {
     Problem problem = test::mixed_scene(4, 5, 3);
     problem.observations.clear();
@@ -502,7 +821,8 @@ Problem main_scene() {
     return test::with_uncertainties(test::with_constants(test::with_covariances(scene, 2)), 3);
 }
 
-constexpr Precision both[] = {Precision::double_precision, Precision::mixed};
+constexpr Precision both_precisions[] = {Precision::double_precision, Precision::mixed};
+constexpr JacobianForm both_forms[] = {JacobianForm::recomputed, JacobianForm::stored};
 
 // Compiling kernels takes most of the time, and each loss, camera model, precision and use of
 // covariances has its own: what does not depend on the precision is tested in one.
@@ -510,26 +830,39 @@ std::vector<Case> problem_cases() {
     const int num_points = test::is_small() ? 12 : 60;
     const std::vector<int32_t> snavely = {camera_snavely};
     std::vector<Case> cases;
+    const auto add_form = [&](const std::string& name, const Problem& problem, Precision precision,
+                              JacobianForm form) {
+        cases.push_back({name, problem, precision, form, test::device_shape()});
+    };
     const auto add = [&](const std::string& name, const Problem& problem, Precision precision) {
-        cases.push_back({name, problem, precision, test::device_shape()});
+        add_form(name, problem, precision, JacobianForm::recomputed);
     };
     const auto add_both = [&](const std::string& name, const Problem& problem) {
-        for (Precision precision : both) add(name, problem, precision);
+        for (Precision precision : both_precisions) add(name, problem, precision);
+    };
+    const auto add_forms = [&](const std::string& name, const Problem& problem,
+                               Precision precision) {
+        for (JacobianForm form : both_forms) add_form(name, problem, precision, form);
+    };
+    const auto add_all = [&](const std::string& name, const Problem& problem) {
+        for (Precision precision : both_precisions) add_forms(name, problem, precision);
     };
     for (int32_t model : test::all_camera_models())
         add_both(camera_models[model].name,
                  test::small_scene(test::is_small() ? 2 : 5, num_points, {model}, false,
                                    static_cast<uint64_t>(model) + 10));
-    add_both("everything", main_scene());
+    add_all("everything", main_scene());
     const Problem scene = test::small_scene(4, num_points, snavely, false, 20);
     // Scales about the size of the residuals, so that both branches of a loss are taken.
-    add("huber", test::with_loss(scene, LossKind::huber, 5), Precision::mixed);
+    add_forms("huber", test::with_loss(scene, LossKind::huber, 5), Precision::mixed);
     add("soft_l1", test::with_loss(scene, LossKind::soft_l1, 5), Precision::double_precision);
     add("cauchy", test::with_loss(scene, LossKind::cauchy, 5), Precision::double_precision);
     add("tukey", test::with_loss(scene, LossKind::tukey, 8), Precision::mixed);
-    add("covariances_tukey", test::with_loss(test::with_covariances(scene, 26), LossKind::tukey, 8),
-        Precision::double_precision);
-    add_both("trouble", test::planted_trouble());
+    add_forms("covariances_tukey",
+              test::with_loss(test::with_covariances(scene, 26), LossKind::tukey, 8),
+              Precision::double_precision);
+    add_all("trouble", test::planted_trouble());
+    add_both("seen_once", seen_once());
     add("nothing_observed", nothing_observed(), Precision::mixed);
     if (test::is_small()) return cases;
     add_both("all_models", test::small_scene(9, 100, test::all_camera_models(), false, 21));
@@ -540,9 +873,9 @@ std::vector<Case> problem_cases() {
     add_both("uncertainties", test::with_uncertainties(test::mixed_scene(6, 80, 28), 29));
     add_both("shifted", test::shifted(test::mixed_scene(6, 80, 30), 1e6));
     add_both("scaled", test::scaled(test::mixed_scene(6, 80, 31), 1e6));
-    add_both("repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 80, 32)));
+    add_all("repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 80, 32)));
     add_both("one_observation", one_observation());
-    add_both("many_points", test::small_scene(6, 2000, snavely, false, 33));
+    add_both("many_points", many_points());
     add_both("empty", Problem());
     return cases;
 }
@@ -555,7 +888,8 @@ std::vector<Case> shape_cases() {
         test::small_scene(6, test::is_small() ? 12 : 100, {camera_snavely}, true, 40));
     std::vector<Case> cases;
     const auto add = [&](const char* name, const Problem& problem, const test::Shape& shape) {
-        cases.push_back({name, problem, Precision::mixed, shape});
+        for (JacobianForm form : both_forms)
+            cases.push_back({name, problem, Precision::mixed, form, shape});
     };
     add("everything", everything, test::loop_shape("plain_loops", false, 3, 3, 5));
     add("everything", everything, test::group_shape(7, 3, 3, 5));
@@ -575,13 +909,17 @@ std::vector<Case> chunk_cases() {
     const test::Shape shape = test::loop_shape("chunks", true, 4, 16, 8);
     const Problem everything = main_scene();
     const uint64_t limit = test::is_small() ? 15'000 : 45'000;  // of floats
-    std::vector<Case> cases = {
-        {"everything", everything, Precision::mixed, shape, limit},
-        {"everything", everything, Precision::double_precision, shape, 2 * limit},
+    std::vector<Case> cases;
+    const auto add = [&](const char* name, const Problem& problem, Precision precision,
+                         uint64_t bytes) {
+        for (JacobianForm form : both_forms)
+            cases.push_back({name, problem, precision, form, shape, bytes});
     };
+    add("everything", everything, Precision::mixed, limit);
+    add("everything", everything, Precision::double_precision, 2 * limit);
     if (!test::is_small())
-        cases.push_back({"repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 200, 50)),
-                         Precision::double_precision, shape, 600'000});
+        add("repeated_pairs", with_repeated_pairs(test::mixed_scene(6, 200, 50)),
+            Precision::double_precision, 600'000);
     return cases;
 }
 
@@ -593,17 +931,12 @@ TEST_P(DampingTest, EqualsTwinAtTwoStates) {
     test::set_shape(*context, test::device_shape());
     Problem problem = main_scene();
     const DampingOptions options{GetParam(), 3e2, 1e6};
-    Rig rig(context, problem, Precision::mixed, options);
+    Rig rig(context, problem, Precision::mixed, JacobianForm::recomputed, options);
     const auto diagonal = [&] {
-        std::vector<double> values;
-        const auto append = [&](const std::vector<double>& matrix, size_t n) {
-            for (size_t k = 0; k < n; ++k) values.push_back(matrix[k * (n + 1)]);
-        };
-        const auto u = rig.image_matrices(rig.equations.u());
-        for (size_t b = 0; b < u.size(); ++b)
-            append(u[b], static_cast<size_t>(rig.device.layout().blocks[b].size));
-        const auto v = rig.point_matrices(rig.equations.v(), false);
-        for (size_t p = 0; p < problem.points.size(); ++p) append(point_matrix(v, p), 3);
+        std::vector<double> values = rig.download_reduced(rig.equations.diagonal);
+        const auto v = rig.point_blocks();
+        for (size_t p = 0; p < problem.points.size(); ++p)
+            for (size_t k = 0; k < 3; ++k) values.push_back(v[9 * p + 4 * k]);
         return values;
     };
     const std::vector<double> initial = diagonal(), scales = rig.scales();
@@ -613,14 +946,12 @@ TEST_P(DampingTest, EqualsTwinAtTwoStates) {
         const std::vector<double> wanted =
             reference::damping_diagonal(static_cast<int>(options.policy), options.min_diagonal,
                                         options.max_diagonal, scales, now, initial);
-        expect_near(rig.download(rig.equations.damping()), wanted, wanted, 8 * double_epsilon,
-                    "D^2");
+        expect_near(rig.damping(), wanted, wanted, 8 * double_epsilon, "D^2");
         std::vector<double> step = test::random_vector(static_cast<int64_t>(scales.size()), 6);
         for (size_t k = 0; k < step.size(); ++k) step[k] *= scales[k] > 0 ? 1e-3 : 0;
         rig.device.update(rig.upload(step));
         rig.device.state.swap(rig.device.trial);
         rig.evaluator.linearize(rig.equations);
-        rig.equations.update_blocks();
     }
 }
 
@@ -629,11 +960,11 @@ INSTANTIATE_TEST_SUITE_P(Policies, DampingTest,
                                          Damping::uncertainty));
 
 // All that the kernels leave for a solver, as bits.
-std::vector<double> all_results(const Problem& problem, Precision precision,
+std::vector<double> all_results(const Problem& problem, Precision precision, JacobianForm form,
                                 const test::Shape& shape) {
     const auto context = test::test_context();
     test::set_shape(*context, shape);
-    Rig rig(context, problem, precision);
+    Rig rig(context, problem, precision, form);
     std::vector<double> all = {rig.cost().cost};
     const auto append = [&](const std::vector<double>& values) {
         all.insert(all.end(), values.begin(), values.end());
@@ -641,17 +972,27 @@ std::vector<double> all_results(const Problem& problem, Precision precision,
     append(rig.residuals);
     append(rig.jacobian().image_blocks);
     append(rig.jacobian().point_blocks);
-    append(rig.download(rig.equations.gradient));
+    append(rig.gradient());
+    append(rig.download_reduced(rig.equations.diagonal));
+    append(rig.point_matrices(rig.equations.point_roots));
     rig.equations.factor_points(lambda);
-    append(rig.point_matrices(rig.equations.point_factors(), true));
+    append(rig.point_matrices(rig.equations.point_factors()));
     Vector y = rig.upload(test::random_vector(rig.device.layout().num_parameters(problem), 7));
     rig.equations.jacobian.multiply(y);
     append(rig.product());
-    rig.equations.jacobian.multiply_transposed(y);
+    rig.equations.jacobian.add_transposed(y);
     append(rig.download(y));
     Vector z = rig.device.make_reduced_vector("test");
-    rig.equations.jacobian.schur_multiply(y, rig.equations.point_factors(), z);
+    rig.equations.jacobian.add_schur_product(y, rig.equations.point_factors(), z);
     append(rig.download_reduced(z));
+    rig.equations.jacobian.eliminate(rig.equations.point_gradient, rig.equations.point_factors(),
+                                     z);
+    append(rig.download_reduced(z));
+    const BackSubstitution points = rig.equations.jacobian.back_substitute(
+        z, rig.equations.point_gradient, rig.equations.point_factors());
+    append({points.squared_norm, points.slope, points.squared_point_steps});
+    append(rig.point_values(rig.equations.jacobian.point_step(), 3));
+    for (const auto& matrix : rig.image_matrices(rig.equations.u())) append(matrix);
     Buffer packed(rig.device.queue(), rig.device.matrices_bytes(), "blocks");
     rig.equations.jacobian.schur_blocks(rig.equations.point_factors(), packed);
     for (const auto& matrix : rig.image_matrices(packed)) append(matrix);
@@ -662,8 +1003,9 @@ std::vector<double> all_results(const Problem& problem, Precision precision,
 TEST(Determinism, TwoRunsGiveEqualBits) {
     const Problem problem = main_scene();
     for (const test::Shape& shape : {test::device_shape(), test::group_shape(7, 3, 3, 5)})
-        EXPECT_EQ(all_results(problem, Precision::mixed, shape),
-                  all_results(problem, Precision::mixed, shape));
+        for (JacobianForm form : both_forms)
+            EXPECT_EQ(all_results(problem, Precision::mixed, form, shape),
+                      all_results(problem, Precision::mixed, form, shape));
 }
 
 // So that the cases above do test several.
@@ -674,6 +1016,19 @@ TEST(Chunks, AreSeveralBelowTheLimit) {
         const DeviceProblem device(context, c.problem, c.precision);
         EXPECT_GT(device.chunks().size(), 1u) << case_name(c);
     }
+}
+
+// So that blocks are added up over several pieces of a run; tiles shrink with the number of units.
+TEST(Pieces, AreSeveralOfARun) {
+    const auto context = test::test_context();
+    if (context->device().compute_units > 4) GTEST_SKIP() << "tiles are small";
+    test::set_shape(*context, test::device_shape());
+    const DeviceProblem device(context, many_points(), Precision::mixed);
+    const Segment& segment = device.tiles().chunks.front().segments.front();
+    int32_t longest = 0;
+    for (int32_t run = 0; run < segment.num_runs(); ++run)
+        longest = std::max(longest, segment.run_slots[run + 1] - segment.run_slots[run]);
+    EXPECT_GT(longest, 128);
 }
 
 const auto name_of = [](const testing::TestParamInfo<Case>& info) { return case_name(info.param); };

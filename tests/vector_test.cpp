@@ -186,38 +186,6 @@ TEST_P(VectorTest, ScaleAndAdd) {
     });
 }
 
-TEST_P(VectorTest, AddDamping) {
-    for_all_sizes([&](const Sizes& sizes, auto x, auto y) {
-        const std::vector<double> d2 = values(sizes, 3);
-        Vector device_y = upload(sizes, y);
-        vectors_->add_damping(0.25, upload(sizes, d2), upload(sizes, x), device_y);
-        for (size_t i = 0; i < x.size(); ++i) y[i] += 0.25 * d2[i] * x[i];
-        expect_near(download(device_y), y);
-    });
-}
-
-TEST_P(VectorTest, StepOfConjugateGradients) {
-    for_all_sizes([&](const Sizes& sizes, auto x, auto r) {
-        const std::vector<double> p = values(sizes, 3), q = values(sizes, 4), b = values(sizes, 5);
-        Vector device_x = upload(sizes, x), device_r = upload(sizes, r);
-        const double sum = vectors_->pcg_step(0.75, upload(sizes, p), upload(sizes, q),
-                                              upload(sizes, b), device_x, device_r);
-        std::vector<double> terms;
-        for (size_t i = 0; i < x.size(); ++i) {
-            x[i] += 0.75 * p[i];
-            r[i] -= 0.75 * q[i];
-        }
-        expect_near(download(device_x), x);
-        expect_near(download(device_r), r);
-        double size = 0, wanted = 0;
-        for (size_t i = 0; i < x.size(); ++i) {
-            wanted += x[i] * (b[i] + r[i]);
-            size += 8;  // |x| <= 2, |b + r| <= 4
-        }
-        EXPECT_NEAR(sum, wanted, epsilon * static_cast<double>(x.size() + 4) * size);
-    });
-}
-
 TEST_P(VectorTest, MaskOfConstants) {
     for_all_sizes([&](const Sizes& sizes, auto x, auto scale) {
         for (double& value : scale) value = std::max(value, 0.0);

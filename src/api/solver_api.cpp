@@ -295,6 +295,7 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     reference::Jacobian jacobian;
     if (request.gradient || wants_jacobian) {
         NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
+        if (request.gradient) equations.keep_wide_gradient();
         evaluator.linearize(equations);
         if (request.gradient) {
             Vector full = device.make_vector("the gradient");

@@ -34,10 +34,10 @@ struct Tuning {
     bool lane_loop = true;  // work-groups of one work-item with inner loops: CPUs
     bool vectorize = true;  // ask the compiler to vectorise these loops
     int work_group_size = 1;
-    int vector_groups = 1;           // work-groups for kernels over vectors
-    int tile_groups = 1;             // work-groups that share tiles out among themselves
-    int lanes = 16;                  // padding of runs
-    int32_t points_per_tile = 16384;  // at most
+    int vector_groups = 1;            // work-groups for kernels over vectors
+    int tile_groups = 1;              // work-groups that share tiles out among themselves
+    int lanes = 16;                   // padding of runs
+    int32_t points_per_tile = 32768;  // at most
 };
 
 // One device and the programs built for it. May be used by several threads at a time.

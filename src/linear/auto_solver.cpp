@@ -21,7 +21,8 @@ constexpr double seconds_per_flop = 1 / 20e9;  // factoring S
 
 // Fewer iterations are never worth the set-up of an explicit solver.
 constexpr int few_iterations = 30;
-constexpr int64_t most_pairs = int64_t{1} << 28;
+constexpr double bytes_per_pair = 8, bytes_per_record = 128;
+constexpr double most_memory = 0.25;  // of the device's
 
 }  // namespace
 
@@ -43,7 +44,12 @@ double AutoSolver::break_even_iterations() {
     const double forming =
         (static_cast<double>(num_pairs) * seconds_per_pair + num_slots * seconds_per_record) /
         units;
-    if (num_pairs > most_pairs) return std::numeric_limits<double>::infinity();
+    // What explicit_schur would hold, without S and its factor.
+    const double bytes =
+        static_cast<double>(num_pairs) * bytes_per_pair + num_slots * bytes_per_record;
+    const DeviceInfo& info = device.queue().context().device();
+    if (bytes > most_memory * static_cast<double>(info.global_memory_bytes))
+        return std::numeric_limits<double>::infinity();
     const SchurStructure structure(problem_, device.tiles());
     const double flops = estimate_flops(schur_pattern(problem_, device.layout(), structure));
     return (forming + flops * seconds_per_flop / workers) / of_product;

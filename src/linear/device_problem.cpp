@@ -103,11 +103,6 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     upload_structure(problem);
     state = make_state();
     trial = make_state();
-    image_records =
-        Buffer(queue_,
-               static_cast<uint64_t>(num_images_) * wide_bytes(precision) *
-                   static_cast<uint64_t>(9 + 3 * position_parts(precision) + max_camera_params),
-               "image records");
 }
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
@@ -256,6 +251,11 @@ State DeviceProblem::make_state() {
         Buffer(queue_, static_cast<uint64_t>(num_cameras_) * max_camera_params * bytes,
                "camera parameters");
     made.points = make_point_rows(3 * position_parts(precision_), bytes, "points");
+    made.image_records =
+        Buffer(queue_,
+               static_cast<uint64_t>(num_images_) * bytes *
+                   static_cast<uint64_t>(9 + 3 * position_parts(precision_) + max_camera_params),
+               "image records");
     return made;
 }
 
@@ -407,7 +407,7 @@ void DeviceProblem::update_image_records(const State& of) {
         Step::vector,
         queue_.kernel("state.cl", "image_records", state_defines()),
         std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_, of.poses,
-        image_camera_, of.camera_params, image_records);
+        image_camera_, of.camera_params, of.image_records);
 }
 
 }  // namespace clba

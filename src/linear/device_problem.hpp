@@ -41,7 +41,9 @@ struct DeviceChunk {
 struct State {
     Buffer poses, camera_params;
     std::vector<Buffer> points;
+    Buffer image_records;  // what kernels over observations read of poses and cameras (state.cl)
     void swap(State& other) noexcept {
+        image_records.swap(other.image_records);
         poses.swap(other.poses);
         camera_params.swap(other.camera_params);
         points.swap(other.points);
@@ -124,8 +126,7 @@ public:
         return static_cast<uint64_t>(layout_.num_matrix_values) * wide_bytes(precision_);
     }
     int32_t num_images() const { return num_images_; }
-    // Records of `of` for kernels over observations; filled by update_image_records.
-    Buffer image_records;
+    // Fills of.image_records. Those of `state` belong to the Jacobian, which is computed from them.
     void update_image_records(const State& of);
 
 private:

@@ -78,6 +78,7 @@ DirectSolver::DirectSolver(const Problem& problem, NormalEquations& equations)
     gradient_.resize(n);
     damping_.resize(n);
     step_.resize(n);
+    equations.keep_wide_gradient();
     device_gradient_ = equations.problem().make_vector("the gradient");
     device_step_ = equations.problem().make_vector("the step");
 }

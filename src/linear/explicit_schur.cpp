@@ -12,9 +12,14 @@
 namespace clba {
 namespace {
 
-// Of kernels/schur_complement.cl and schur_pairs.cl.
-constexpr uint64_t image_record_values = 32, point_record_values = 8;
-constexpr int64_t blocks_per_group = 16;
+constexpr int64_t blocks_per_group = 16;  // of kernels/schur_pairs.cl
+
+// RECORD_BYTES of kernels/schur_records.clh.
+uint64_t record_bytes(int32_t max_columns, Precision precision) {
+    const uint64_t image_bytes = 2 * static_cast<uint64_t>(max_columns) * real_bytes(precision);
+    const uint64_t point_offset = (image_bytes + 7) / 8 * 8;
+    return (point_offset + 6 * wide_bytes(precision) + 63) / 64 * 64;
+}
 
 template <class Value>
 Buffer upload(Queue& queue, const std::vector<Value>& values, const char* label) {
@@ -77,10 +82,9 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations)
         chunk.block_pairs = {};
     }
     const auto records = static_cast<uint64_t>(most_records);
-    image_records_ = Buffer(queue, records * image_record_values * real_bytes(precision),
-                            "records of observations");
-    point_records_ = Buffer(queue, records * point_record_values * wide_bytes(precision),
-                            "records of observations");
+    // One more, as whole vectors are read of the last one.
+    records_ = Buffer(queue, (records + 1) * record_bytes(max_columns_, precision),
+                      "records of observations");
     b_ = device.make_reduced_vector("the reduced camera system");
     step_ = device.make_reduced_vector("the step");
     damping_.resize(static_cast<size_t>(layout.num_f));
@@ -131,22 +135,24 @@ void ExplicitSchur::form_blocks() {
     Jacobian& jacobian = equations_.jacobian;
     blocks_.fill_zero();
     const auto num_blocks = static_cast<int32_t>(structure_.num_blocks());
-    const std::string defines =
-        text(precision_defines(device.precision()), " -DMAX_COLUMNS=", max_columns_);
+    const std::string max_columns = text(" -DMAX_COLUMNS=", max_columns_);
+    const std::string defines = precision_defines(device.precision()) + max_columns;
     size_t index = 0;
     for (size_t c = 0; c < device.chunks().size(); ++c) {
         const DeviceChunk& chunk = device.chunks()[c];
         for (size_t s = 0; s < chunk.segments.size(); ++s) {
             const DeviceSegment& segment = chunk.segments[s];
-            device.launch(Step::preconditioner, "schur_complement.cl", "schur_records",
-                          jacobian.defines(segment), chunk, segment, device.image_records,
-                          jacobian.rows()[index++], equations_.point_factors()[c],
-                          structure_.chunks[c].first_record[s], image_records_, point_records_);
+            device.launch(Step::preconditioner, "schur_records.cl", "schur_records",
+                          jacobian.defines(index) + max_columns, chunk, segment,
+                          device.state.image_records, jacobian.rows()[index],
+                          equations_.point_factors()[c], structure_.chunks[c].first_record[s],
+                          records_);
+            ++index;
         }
         queue.launch(Step::preconditioner, queue.kernel("schur_pairs.cl", "schur_pairs", defines),
                      (num_blocks + blocks_per_group - 1) / blocks_per_group, num_blocks,
                      block_rows_, block_columns_, block_offsets_, chunk_buffers_[c].block_pairs,
-                     chunk_buffers_[c].pairs, image_records_, point_records_, blocks_);
+                     chunk_buffers_[c].pairs, records_, blocks_);
     }
 }
 

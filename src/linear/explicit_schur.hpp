@@ -18,6 +18,9 @@ public:
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::explicit_schur; }
 
+    // Leaves the blocks of U - W V^-1 W^T on the device.
+    void form_blocks();
+
 private:
     // Part of a block of pairs that goes to a block of S.
     struct Target {
@@ -29,7 +32,6 @@ private:
 
     void upload_structure();
     void list_targets(const Problem& problem, const BlockPattern& pattern);
-    void form_blocks();
     bool factorize(double lambda, double& seconds);  // adds what it took
     void finish_values(double lambda, double* values);
 
@@ -55,7 +57,7 @@ private:
     std::vector<ChunkBuffers> chunk_buffers_;
     Buffer block_rows_, block_columns_, block_offsets_;
     Buffer blocks_;
-    Buffer image_records_, point_records_;  // of one chunk at a time
+    Buffer records_;  // of observations, of one chunk at a time
     Vector b_, step_;
 };
 

@@ -31,6 +31,8 @@ Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
     for (const DeviceChunk& chunk : problem.chunks()) {
         most_tiles += 2 * chunk.num_tiles * static_cast<int>(chunk.segments.size());
         for (const DeviceSegment& segment : chunk.segments) {
+            segments_.push_back(&segment);
+            programs_.push_back(programs_of(segment));
             const int columns = segment.num_columns;
             const int view_rows = 3 + (segment.whitening ? 3 : has_loss_ ? 1 : 0);
             const int rows = form == JacobianForm::stored ? num_block_rows(columns) : view_rows;
@@ -50,13 +52,23 @@ Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
         Buffer(queue_, host_sums_.size() * wide_bytes(problem.precision()), "sums of tiles");
 }
 
-std::string Jacobian::defines(const DeviceSegment& segment) const {
-    return text(precision_defines(problem_.precision()),
-                " -DSTORED=", form_ == JacobianForm::stored ? 1 : 0, " -DWEIGHT_ROWS=",
-                segment.whitening ? 3
-                : has_loss_       ? 1
-                                  : 0,
-                " -DMAX_CAMERA_PARAMS=", max_camera_params);
+Jacobian::Programs Jacobian::programs_of(const DeviceSegment& segment) const {
+    const Precision precision = problem_.precision();
+    const std::string common = precision_defines(precision);
+    const int columns = segment.num_columns;
+    Programs programs;
+    programs.rows =
+        text(common, " -DSTORED=", form_ == JacobianForm::stored ? 1 : 0, " -DWEIGHT_ROWS=",
+             segment.whitening ? 3
+             : has_loss_       ? 1
+                               : 0,
+             " -DMAX_CAMERA_PARAMS=", max_camera_params);
+    programs.run_sums =
+        text(common, " -DRUN_VALUES=", columns, " -DRUN_REAL=", real_type(precision));
+    programs.wide_run_sums =
+        text(common, " -DRUN_VALUES=", 2 * columns, " -DRUN_REAL=", wide_type(precision));
+    programs.run_blocks = text(common, " -DCOLUMNS=", columns);
+    return programs;
 }
 
 template <class Visit>
@@ -67,14 +79,20 @@ void Jacobian::for_each_segment(Visit&& visit) {
             visit(problem_.chunks()[c], segment, c, index++);
 }
 
-void Jacobian::reduce_runs(Step step, const DeviceSegment& segment, bool are_wide, int values,
-                           int first_value, Buffer& f) {
-    const std::string options =
-        text(precision_defines(problem_.precision()), " -DRUN_VALUES=", values, " -DRUN_REAL=",
-             are_wide ? wide_type(problem_.precision()) : real_type(problem_.precision()));
+void Jacobian::reduce(Step step, const DeviceSegment& segment, const std::string& options,
+                      int first_value, Buffer& f) {
     queue_.launch(step, queue_.kernel("reduce.cl", "reduce_runs", options), segment.num_blocks,
                   segment.block_offset, segment.block_size, segment.block_column,
                   segment.block_runs, segment.runs, first_value, run_sums_, f);
+}
+
+void Jacobian::reduce_runs(Step step, size_t segment, Buffer& f) {
+    reduce(step, *segments_[segment], programs_[segment].run_sums, 0, f);
+}
+
+void Jacobian::reduce_wide_runs(size_t segment, bool is_second, Buffer& f) {
+    const DeviceSegment& of = *segments_[segment];
+    reduce(Step::jacobian, of, programs_[segment].wide_run_sums, is_second ? of.num_columns : 0, f);
 }
 
 std::vector<Buffer>& Jacobian::product() {
@@ -88,8 +106,8 @@ std::vector<Buffer> Jacobian::blocks() {
     std::vector<Buffer> blocks = problem_.make_slot_rows(
         num_block_rows, real_bytes(problem_.precision()), "blocks of the Jacobian");
     for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t, size_t i) {
-        problem_.launch(Step::jacobian, "blocks.cl", "jacobian_rows", defines(segment), chunk,
-                        segment, problem_.image_records, rows_[i], blocks[i]);
+        problem_.launch(Step::jacobian, "blocks.cl", "jacobian_rows", defines(i), chunk, segment,
+                        problem_.state.image_records, rows_[i], blocks[i]);
     });
     return blocks;
 }
@@ -98,12 +116,12 @@ void Jacobian::multiply(const Vector& x) {
     for (size_t c = 0; c < point_real_.size(); ++c)
         problem_.vectors().to_real(x.e[c], point_real_[c]);
     product();
-    for_each_segment(
-        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
-            problem_.launch(Step::jx, "products.cl", "jx", defines(segment), chunk, segment,
-                            problem_.pose_offsets, problem_.intrinsics_offsets,
-                            problem_.image_records, rows_[i], x.f, point_real_[c], product_[i]);
-        });
+    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
+                         size_t i) {
+        problem_.launch(Step::jx, "products.cl", "jx", defines(i), chunk, segment,
+                        problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.state.image_records, rows_[i], x.f, point_real_[c], product_[i]);
+    });
 }
 
 double Jacobian::squared_norm(const Vector& x) {
@@ -116,10 +134,10 @@ void Jacobian::add_transposed(Vector& x) {
     product();
     for_each_segment(
         [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
-            problem_.launch(Step::jty, "products.cl", "jty", defines(segment), chunk, segment,
-                            problem_.image_records, rows_[i], product_[i], point_real_[c],
+            problem_.launch(Step::jty, "products.cl", "jty", defines(i), chunk, segment,
+                            problem_.state.image_records, rows_[i], product_[i], point_real_[c],
                             run_sums_, queue_.scratch());
-            reduce_runs(Step::jty, segment, false, segment.num_columns, 0, x.f);
+            reduce_runs(Step::jty, i, x.f);
         });
     for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().add_real(point_real_[c], x.e[c]);
 }
@@ -152,12 +170,11 @@ void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffe
                          size_t c, size_t i) {
         const int wanted = stages & of_segment;
         if (wanted == 0) return;
-        problem_.launch(Step::schur, "products.cl", "schur_product", defines(segment), chunk,
-                        segment, wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.image_records, rows_[i], x.f, point_factors[c], point_real_[c],
-                        run_sums_, queue_.scratch());
-        if (wanted & backward_stage)
-            reduce_runs(Step::schur, segment, false, segment.num_columns, 0, y.f);
+        problem_.launch(Step::schur, "products.cl", "schur_product", defines(i), chunk, segment,
+                        wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.state.image_records, rows_[i], x.f, point_factors[c],
+                        point_real_[c], run_sums_, queue_.scratch());
+        if (wanted & backward_stage) reduce_runs(Step::schur, i, y.f);
     });
 }
 
@@ -180,9 +197,9 @@ BackSubstitution Jacobian::back_substitute(const Vector& step,
     int32_t num_tiles = 0;
     launch_in_stages([&](int stages, const DeviceChunk& chunk, const DeviceSegment& segment,
                          size_t c, size_t i) {
-        problem_.launch(Step::schur, "products.cl", "back_substitute", defines(segment), chunk,
-                        segment, stages, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.image_records, rows_[i], step.f, point_factors[c],
+        problem_.launch(Step::schur, "products.cl", "back_substitute", defines(i), chunk, segment,
+                        stages, problem_.pose_offsets, problem_.intrinsics_offsets,
+                        problem_.state.image_records, rows_[i], step.f, point_factors[c],
                         point_gradient[c], problem_.state.points[c], point_real_[c],
                         problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
         // A later stage of the same segment takes up where an earlier one left the points.
@@ -204,13 +221,11 @@ void Jacobian::sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer
     for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
                          size_t i) {
         const Buffer* factors = point_factors ? &(*point_factors)[c] : nullptr;
-        problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(segment), chunk,
-                        segment, problem_.image_records, rows_[i], factors, run_sums_,
+        problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(i), chunk,
+                        segment, problem_.state.image_records, rows_[i], factors, run_sums_,
                         queue_.scratch());
         queue_.launch(Step::preconditioner,
-                      queue_.kernel("reduce.cl", "reduce_run_blocks",
-                                    text(precision_defines(problem_.precision()),
-                                         " -DCOLUMNS=", segment.num_columns)),
+                      queue_.kernel("reduce.cl", "reduce_run_blocks", programs_[i].run_blocks),
                       segment.num_blocks, segment.block_size, segment.block_column,
                       segment.block_runs, segment.runs, segment.matrix_offset, run_sums_, matrices);
     });

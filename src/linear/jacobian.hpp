@@ -27,7 +27,7 @@ public:
     // What the kernel `linearize` fills: one buffer a segment, rows of REAL over its slots.
     std::vector<Buffer>& rows() { return rows_; }
     // Options of programs that read or write the rows of a segment.
-    std::string defines(const DeviceSegment& segment) const;
+    const std::string& defines(size_t segment) const { return programs_[segment].rows; }
 
     // The blocks of every observation: 2 C + 6 rows of REAL over the slots of each segment.
     std::vector<Buffer> blocks();
@@ -61,11 +61,11 @@ public:
     // reference/bundle.hpp, schur_diagonal_blocks).
     void schur_blocks(const std::vector<Buffer>& point_factors, Buffer& blocks);
 
-    // Sums of a segment's runs, `values` a run, which reduce_runs adds to an F vector: those from
-    // first_value on, as many as the segment has columns.
+    // Sums of a segment's runs, which reduce_runs adds to an F vector: REALs, as many a run as the
+    // segment has columns, or WIDEs, twice as many, of which the second half if is_second.
     Buffer& run_sums() { return run_sums_; }
-    void reduce_runs(Step step, const DeviceSegment& segment, bool are_wide, int values,
-                     int first_value, Buffer& f);
+    void reduce_runs(Step step, size_t segment, Buffer& f);
+    void reduce_wide_runs(size_t segment, bool is_second, Buffer& f);
 
 private:
     template <class Visit>
@@ -76,10 +76,20 @@ private:
                       Vector& y);
     void sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer& matrices);
 
+    // Options of programs for a segment.
+    struct Programs {
+        std::string rows, run_sums, wide_run_sums, run_blocks;
+    };
+    Programs programs_of(const DeviceSegment& segment) const;
+    void reduce(Step step, const DeviceSegment& segment, const std::string& options,
+                int first_value, Buffer& f);
+
     DeviceProblem& problem_;
     Queue& queue_;
     JacobianForm form_;
     bool has_loss_;
+    std::vector<const DeviceSegment*> segments_;  // of all chunks
+    std::vector<Programs> programs_;
     std::vector<Buffer> rows_;
     std::vector<Buffer> product_;     // made when it is first asked for
     std::vector<Buffer> point_real_;  // 3 rows of REAL a chunk

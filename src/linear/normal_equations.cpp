@@ -50,6 +50,7 @@ int64_t NormalEquations::num_groups(int64_t n) const {
 
 void NormalEquations::update_damping() {
     has_u_ = false;
+    has_wide_gradient_ = !wide_point_gradient.empty();
     const bool is_first = !has_damping_;
     has_damping_ = true;
     if (options_.policy == Damping::levenberg && !is_first) return;
@@ -70,10 +71,19 @@ void NormalEquations::update_point_damping(std::vector<Buffer>& d2) {
     }
 }
 
+void NormalEquations::keep_wide_gradient() {
+    wide_point_gradient =
+        problem_.make_point_rows(3, wide_bytes(problem_.precision()), "the gradient");
+}
+
 void NormalEquations::get_gradient(Vector& full) {
     full.f.copy_from(gradient.f);
-    for (size_t c = 0; c < full.e.size(); ++c)
-        problem_.vectors().from_real(point_gradient[c], full.e[c]);
+    for (size_t c = 0; c < full.e.size(); ++c) {
+        if (!has_wide_gradient_)
+            problem_.vectors().from_real(point_gradient[c], full.e[c]);
+        else
+            full.e[c].copy_from(wide_point_gradient[c]);
+    }
 }
 
 double NormalEquations::gradient_max_norm() {

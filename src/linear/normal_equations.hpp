@@ -26,9 +26,12 @@ public:
     Jacobian jacobian;
     Vector gradient;                     // F side
     std::vector<Buffer> point_gradient;  // E side: 3 rows of REAL a chunk
-    Vector diagonal;                     // of J_F^T J_F
-    std::vector<Buffer> point_roots;     // L of V = L L^T: 6 rows of REAL a chunk
-    Buffer tile_max;                     // of |point_gradient|, tile by tile of all chunks
+    // The same as WIDEs: filled by linearisations after keep_wide_gradient().
+    std::vector<Buffer> wide_point_gradient;
+    void keep_wide_gradient();
+    Vector diagonal;                  // of J_F^T J_F
+    std::vector<Buffer> point_roots;  // L of V = L L^T: 6 rows of REAL a chunk
+    Buffer tile_max;                  // of |point_gradient|, tile by tile of all chunks
 
     // Damping of the F side. To be called after each linearisation.
     void update_damping();
@@ -59,6 +62,7 @@ private:
     Queue& queue_;
     DampingOptions options_;
     std::string defines_;
+    bool has_wide_gradient_ = false;
     bool has_damping_ = false;  // of some linearisation
     bool has_u_ = false;        // of the current linearisation
     Buffer u_;                  // made when it is first asked for

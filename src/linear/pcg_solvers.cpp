@@ -20,6 +20,7 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
           return equations.problem().make_vector("PCG");
       })) {
     DeviceProblem& problem = equations.problem();
+    equations.keep_wide_gradient();
     gradient_ = problem.make_vector("the gradient");
     damping_ = problem.make_vector("the damping");
     b_ = problem.make_vector("PCG");

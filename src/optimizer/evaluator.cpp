@@ -55,9 +55,9 @@ CostEvaluation Evaluator::cost(const State& state, std::vector<Buffer>* residual
             ++index;
             problem_.launch(Step::residual, "residual.cl", "residual", common + defines(segment),
                             chunk, segment, segment.xy,
-                            segment.whitening ? &segment.whitening : nullptr,
-                            problem_.image_records, state.points[c], loss_.scale, residual,
-                            num_tiles, tile_sums_, queue_.scratch());
+                            segment.whitening ? &segment.whitening : nullptr, state.image_records,
+                            state.points[c], loss_.scale, residual, num_tiles, tile_sums_,
+                            queue_.scratch());
             num_tiles += chunk.num_tiles;
         }
     }
@@ -87,17 +87,16 @@ void Evaluator::linearize(NormalEquations& equations) {
                                (s + 1 == chunk.segments.size() ? finish_stage : 0);
             problem_.launch_groups(
                 num_groups(chunk), Step::jacobian, "linearize.cl", "linearize",
-                jacobian.defines(segment) + defines(segment), chunk, segment, stages,
-                chunk.num_tiles, segment.xy, segment.whitening ? &segment.whitening : nullptr,
-                problem_.image_records, problem_.state.points[c], loss_.scale,
-                chunk.point_scale_or_null(), jacobian.rows()[index++], jacobian.run_sums(),
+                jacobian.defines(index) + defines(segment), chunk, segment, stages, chunk.num_tiles,
+                segment.xy, segment.whitening ? &segment.whitening : nullptr,
+                problem_.state.image_records, problem_.state.points[c], loss_.scale,
+                chunk.point_scale_or_null(), jacobian.rows()[index], jacobian.run_sums(),
                 point_capacity_, point_sums_, equations.point_roots[c], equations.point_gradient[c],
+                equations.wide_point_gradient.empty() ? nullptr : &equations.wide_point_gradient[c],
                 chunk.first_tile, equations.tile_max, queue_.scratch());
-            const int columns = segment.num_columns;
-            jacobian.reduce_runs(Step::jacobian, segment, true, 2 * columns, 0,
-                                 equations.gradient.f);
-            jacobian.reduce_runs(Step::jacobian, segment, true, 2 * columns, columns,
-                                 equations.diagonal.f);
+            jacobian.reduce_wide_runs(index, false, equations.gradient.f);
+            jacobian.reduce_wide_runs(index, true, equations.diagonal.f);
+            ++index;
         }
     }
     problem_.vectors().mask_constants(problem_.scale_f, equations.gradient.f);
