@@ -236,8 +236,8 @@ std::vector<double> with_damping(std::vector<double> lower, const double* d2) {
 }
 
 // Errors of an inverse factor G grow with the condition of A scaled to unit diagonal (van der
-// Sluis), relative to G D^1/2 with D = diag(A). real_epsilon is that of its storage; its square roots, quotients
-// and products are computed in it too, from pivots in double.
+// Sluis), relative to G D^1/2 with D = diag(A). real_epsilon is that of its storage; its square
+// roots, quotients and products are computed in it too, from pivots in double.
 void expect_inverse_factor(const std::vector<double>& a, const double* scale,
                            const std::vector<double>& g, double real_epsilon) {
     const auto n = static_cast<int>(std::lround(std::sqrt(a.size())));

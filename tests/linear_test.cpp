@@ -210,6 +210,35 @@ TEST(LinearSolvers, SolutionsDescribeTheirSteps) {
     }
 }
 
+// S is formed in double from the Jacobian and the point factors that the device keeps, and
+// CHOLMOD's from the same Jacobian: they differ by the rounding of the factors to REAL, times a
+// condition number below 1e5 at this lambda.
+TEST(LinearSolvers, ExplicitEqualsCholmod) {
+    constexpr double lambda = 1e-2;
+    std::vector<Case> all = cases();
+    all.push_back({"repeated pairs", test::small_scene(6, 60, {camera_snavely}, true, 10)});
+    const std::vector<Observation> once = all.back().problem.observations;
+    for (size_t i = 0; i < once.size(); i += 3) {
+        all.back().problem.observations.push_back(once[i]);
+        all.back().problem.observations.back().x += 1;
+    }
+    for (const Case& test_case : all) {
+        for (const auto& [precision, form] : precisions_and_forms) {
+            System system(test_case.problem, precision, form);
+            LinearSolution direct, solution;
+            const std::vector<double> expected = system.solve(
+                LinearSolverKind::direct_schur, Preconditioner::none, lambda, 0.1, &direct);
+            const std::vector<double> step = system.solve(
+                LinearSolverKind::explicit_schur, Preconditioner::none, lambda, 0.1, &solution);
+            EXPECT_TRUE(solution.is_usable);
+            EXPECT_EQ(solution.num_iterations, 1);
+            EXPECT_LE(distance(step, expected), 1e5 * test::epsilon(precision) * norm(expected))
+                << test_case.name << ", " << real_type(precision) << ", " << form_name(form);
+            EXPECT_NEAR(solution.step_norm, norm(step), 1e-6 * norm(step));
+        }
+    }
+}
+
 TEST(LinearSolvers, ConstantParametersHaveNoStep) {
     const Problem problem =
         test::with_constants(test::small_scene(6, 60, {camera_snavely}, false, 4));

@@ -84,8 +84,7 @@ TEST_P(DataIndex, SinglePrecisionEndsAtTheCostOfDouble) {
     MinimizerOptions options;
     options.linear_solver.kind = LinearSolverKind::automatic;
     Problem problem = start;
-    const double expected =
-        run(problem, options, Precision::double_precision).reference_final_cost;
+    const double expected = run(problem, options, Precision::double_precision).reference_final_cost;
     problem = start;
     const Summary summary = run(problem, options, Precision::single);
     EXPECT_LE(summary.reference_final_cost, expected * (1 + 1e-4)) << summary.message;
@@ -99,11 +98,10 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Values("bal/problem-16-22106-pre", "bal/problem-21-11315-pre",
                     "bal/problem-49-7776-pre", "real/colmap-gtsfm_set1_lund_door",
                     "real/colmap-softmurata", "real/dbat-roma-60", "real/fakepile-47",
-                    "real/kitti-2011_09_30_drive_0027-stereo-deadreckoned",
-                    "real/libmv-problem_02", "real/malaga-170-gtpose-clean",
-                    "real/olsson-Cherub", "real/olsson-Cherub-perturbed",
-                    "real/olsson-De_Guerre-perturbed", "real/strecha-Herz-Jesus-P25",
-                    "real/strecha-fountain-P11"));
+                    "real/kitti-2011_09_30_drive_0027-stereo-deadreckoned", "real/libmv-problem_02",
+                    "real/malaga-170-gtpose-clean", "real/olsson-Cherub",
+                    "real/olsson-Cherub-perturbed", "real/olsson-De_Guerre-perturbed",
+                    "real/strecha-Herz-Jesus-P25", "real/strecha-fountain-P11"));
 
 struct Method {
     LinearSolverKind kind;

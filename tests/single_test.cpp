@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Solves without fp64 on the device, against solves in double precision from the same start; and the
-// proof that their kernels know no double.
+// Solves without fp64 on the device, against solves in double precision from the same start; and
+// the proof that their kernels know no double.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -157,8 +157,7 @@ TEST(SinglePrecisionState, SmallStepsAreNotLost) {
     const ParameterLayout& layout = device.layout();
     std::vector<double> step(static_cast<size_t>(layout.num_parameters(start)));
     std::fill(step.begin() + layout.num_f, step.end(), length);
-    for (int32_t offset : layout.pose_offset)
-        std::fill_n(step.begin() + offset + 3, 3, length);
+    for (int32_t offset : layout.pose_offset) std::fill_n(step.begin() + offset + 3, 3, length);
     Vector on_device = device.make_vector("a step");
     device.upload(step.data(), on_device);
     device.upload_state(start);
@@ -172,8 +171,7 @@ TEST(SinglePrecisionState, SmallStepsAreNotLost) {
     Problem problem = start;
     device.download_state(problem);
     // Pairs have 48 bits; a step is rounded to a float, and turned by a rotation of floats.
-    const double tolerance =
-        num_steps * (std::ldexp(distance, -46) + 4 * float_epsilon * length);
+    const double tolerance = num_steps * (std::ldexp(distance, -46) + 4 * float_epsilon * length);
     for (size_t p = 0; p < start.points.size(); ++p)
         for (size_t k = 0; k < 3; ++k)
             EXPECT_NEAR(problem.points[p][k], expected.points[p][k], tolerance);
@@ -238,10 +236,10 @@ TEST(SinglePrecisionTrouble, RoundingEndsASolve) {
 TEST(SinglePrecisionKernels, CompileWithoutDouble) {
     const std::shared_ptr<Context> context = test::test_context();
     const std::string options =
-        precision_defines(Precision::single) + " -cl-std=CL1.2 -DLANE_LOOP=" +
-        (context->tuning.lane_loop ? "1" : "0");
+        precision_defines(Precision::single) +
+        " -cl-std=CL1.2 -DLANE_LOOP=" + (context->tuning.lane_loop ? "1" : "0");
     const std::vector<std::string> of_observations = {"residual.cl", "linearize.cl", "products.cl",
-                                                      "blocks.cl", "schur_complement.cl"};
+                                                      "blocks.cl", "schur_records.cl"};
     for (const std::string& path : of_observations)
         for (const CameraModel& model : camera_models)
             for (const char* form : {" -DSTORED=0 -DWEIGHT_ROWS=0 -DWHITENED=0 -DLOSS=3",
@@ -254,9 +252,9 @@ TEST(SinglePrecisionKernels, CompileWithoutDouble) {
         EXPECT_NO_THROW(context->program(path, "", options)) << path;
     // The word is forbidden indeed.
     EXPECT_THROW(context->program("vector.cl", "", options + " -DREAL=double"), Error);
-    EXPECT_THROW(context->program("residual.cl", "camera_models/snavely.clh",
-                                  options + " -DWIDE=double"),
-                 Error);
+    EXPECT_THROW(
+        context->program("residual.cl", "camera_models/snavely.clh", options + " -DWIDE=double"),
+        Error);
 }
 
 }  // namespace

@@ -35,7 +35,8 @@ void require_double(const Context& context) {
 
 // A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
 void split(double coordinate, float* parts, int64_t low) {
-    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is volatile.
+    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
+    // volatile.
     const volatile float high = static_cast<float>(coordinate);
     parts[0] = high;
     parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
@@ -215,11 +216,10 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.runs = upload_values(segment.runs, "block runs");
 
     const auto fill = [&](Buffer& buffer, int rows, auto&& value) {
-        buffer = Buffer(
-            queue_,
-            wide_bytes(precision_) * static_cast<uint64_t>(rows) *
-                static_cast<uint64_t>(segment.num_slots()),
-            "observations");
+        buffer = Buffer(queue_,
+                        wide_bytes(precision_) * static_cast<uint64_t>(rows) *
+                            static_cast<uint64_t>(segment.num_slots()),
+                        "observations");
         for_wide([&](auto wide) {
             using Wide = decltype(wide);
             const auto mapping = buffer.map_write<Wide>();
@@ -274,8 +274,7 @@ std::vector<Buffer> DeviceProblem::make_point_rows(int rows, size_t value_bytes,
 
 Vector DeviceProblem::make_reduced_vector(const std::string& label) {
     Vector vector;
-    vector.f =
-        Buffer(queue_, static_cast<uint64_t>(layout_.num_f) * wide_bytes(precision_), label);
+    vector.f = Buffer(queue_, static_cast<uint64_t>(layout_.num_f) * wide_bytes(precision_), label);
     vector.f.fill_zero();
     return vector;
 }
@@ -387,10 +386,8 @@ std::string DeviceProblem::state_defines() const {
 
 void DeviceProblem::update(const Vector& step) {
     const auto launch_rows = [&](const char* name, int64_t rows, const auto&... arguments) {
-        queue_.launch(
-            Step::vector,
-            queue_.kernel("state.cl", name, state_defines()),
-            std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
+        queue_.launch(Step::vector, queue_.kernel("state.cl", name, state_defines()),
+                      std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
     launch_rows("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
                 trial.poses);
@@ -403,11 +400,9 @@ void DeviceProblem::update(const Vector& step) {
 }
 
 void DeviceProblem::update_image_records(const State& of) {
-    queue_.launch(
-        Step::vector,
-        queue_.kernel("state.cl", "image_records", state_defines()),
-        std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_, of.poses,
-        image_camera_, of.camera_params, of.image_records);
+    queue_.launch(Step::vector, queue_.kernel("state.cl", "image_records", state_defines()),
+                  std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_,
+                  of.poses, image_camera_, of.camera_params, of.image_records);
 }
 
 }  // namespace clba

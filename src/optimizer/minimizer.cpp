@@ -12,8 +12,8 @@
 namespace clba {
 namespace {
 
-// Relative rounding of the cost in single precision: pixels have that of a float, and the rounding of
-// thousands of them cancels in the sum of their squares but for a share like this.
+// Relative rounding of the cost in single precision: pixels have that of a float, and the rounding
+// of thousands of them cancels in the sum of their squares but for a share like this.
 constexpr double cost_rounding = 32.0 * std::numeric_limits<float>::epsilon();
 
 // The loop, one object a solve. Each test that may end it says why in the summary.

@@ -77,6 +77,10 @@ public:
         for_each_first_sight(tile, [&](const Sight& sight, int32_t, OfImage& image) {
             if (image.value++ == 0) tile.runs.push_back({sight.image, 0, 0});
         });
+        // Neighbours in memory are neighbours in time: of images' data, and of what runs add to
+        // them.
+        std::sort(tile.runs.begin(), tile.runs.end(),
+                  [](const Run& a, const Run& b) { return a.image < b.image; });
         for (Run& run : tile.runs) {
             run.num_observations = images_[run.image].value;
             images_[run.image].value = 0;
