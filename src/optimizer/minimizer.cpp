@@ -137,7 +137,6 @@ private:
         summary_.evaluate_seconds += lap();
         if (!std::isfinite(trial.cost)) {
             // What products see of the images is the trial's now.
-            device_.update_image_records(device_.state);
             handle_invalid_step();
             return;
         }
@@ -156,7 +155,6 @@ private:
             state_norm_ = state_norm();
         } else {
             ++summary_.num_rejected_steps;
-            device_.update_image_records(device_.state);
             trust_region_.reject();
         }
     }
