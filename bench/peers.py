@@ -569,7 +569,11 @@ def start_raw(arguments):
         sys.exit(f"peers: {arguments.raw} was made with {raw['settings']}, but now {settings}; give "
                  "the same, or another --raw")
     raw["skipped"] = {}
-    for runs in [raw["cold"], *(problem["runs"] for problem in raw["problems"].values())]:
+    def is_again(problem):
+        return not arguments.only or any(word in problem for word in arguments.only)
+
+    for runs in [raw["cold"], *(problem["runs"] for name, problem in raw["problems"].items()
+                                if is_again(name))]:
         for solver in [name for name in runs if name.startswith(tuple(arguments.again))]:
             del runs[solver]
     return raw
