@@ -908,7 +908,7 @@ std::vector<Case> shape_cases() {
 std::vector<Case> chunk_cases() {
     const test::Shape shape = test::loop_shape("chunks", true, 4, 16, 8);
     const Problem everything = main_scene();
-    const uint64_t limit = test::is_small() ? 15'000 : 45'000;  // of floats
+    const uint64_t limit = test::is_small() ? 10'000 : 45'000;  // of floats
     std::vector<Case> cases;
     const auto add = [&](const char* name, const Problem& problem, Precision precision,
                          uint64_t bytes) {
