@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Nanoseconds per observation of every kernel family on the device that CLBA_DEVICE names, on a
-// generated scene of about a million observations:
+// generated scene of about a million observations or on a BAL file:
 //   bench/kernels [--benchmark_filter=...] [--benchmark_repetitions=5]
-// CLBA_BENCH_SCENE: hall (default), street or landmark; CLBA_BENCH_OBSERVATIONS: about how many.
+// CLBA_BENCH_SCENE: hall (default), street, landmark or the path of a BAL file;
+// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has.
 #include <benchmark/benchmark.h>
 
 #include <chrono>
@@ -17,6 +18,7 @@
 #include "base/error.hpp"
 #include "device/context.hpp"
 #include "device/program_cache.hpp"
+#include "io/bal.hpp"
 #include "linear/device_problem.hpp"
 #include "linear/explicit_schur.hpp"
 #include "linear/normal_equations.hpp"
@@ -35,6 +37,7 @@ std::string environment(const char* name, const char* otherwise) {
 Problem bench_scene() {
     SceneOptions options;
     const std::string scene = environment("CLBA_BENCH_SCENE", "hall");
+    if (scene != "hall" && scene != "street" && scene != "landmark") return read_bal(scene);
     const double observations = std::stod(environment("CLBA_BENCH_OBSERVATIONS", "1e6"));
     options.kind = scene == "street"     ? SceneKind::street
                    : scene == "landmark" ? SceneKind::landmark
