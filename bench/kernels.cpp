@@ -57,12 +57,12 @@ struct Rig {
           equations(device, DampingOptions(), form, scene.loss),
           x(device.make_vector("x")),
           y(device.make_vector("y")),
-          z(device.make_vector("z")),
+          zero(device.make_reduced_vector("zero")),
           schur_blocks(device.queue(), device.matrices_bytes(), "blocks"),
           explicit_schur(scene, equations) {
         evaluator.linearize(equations);
         equations.factor_points(1e-4);
-        equations.factor_images(1e-4, equations.u());
+        equations.factor_image_blocks(1e-4);
         equations.apply_image_factors(equations.gradient, x);
         equations.get_gradient(y);
         equations.apply_point_factors(y, x);
@@ -71,7 +71,7 @@ struct Rig {
     DeviceProblem device;
     Evaluator evaluator;
     NormalEquations equations;
-    Vector x, y, z;
+    Vector x, y, zero;
     Buffer schur_blocks;
     ExplicitSchur explicit_schur;
 };
@@ -139,7 +139,7 @@ int main(int argc, char** argv) {
              [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},
             {"eliminate",
              [](Rig& rig) {
-                 rig.equations.jacobian.eliminate(rig.equations.point_gradient,
+                 rig.equations.jacobian.eliminate(rig.zero, rig.equations.point_gradient,
                                                   rig.equations.point_factors(), rig.y);
              }},
             {"back_substitute",
@@ -154,8 +154,7 @@ int main(int argc, char** argv) {
              }},
             {"explicit_blocks", [](Rig& rig) { rig.explicit_schur.form_blocks(); }},
             {"factor_points", [](Rig& rig) { rig.equations.factor_points(1e-4); }},
-            {"factor_images",
-             [](Rig& rig) { rig.equations.factor_images(1e-4, rig.equations.u()); }},
+            {"factor_image_blocks", [](Rig& rig) { rig.equations.factor_image_blocks(1e-4); }},
             {"apply_point_factors",
              [](Rig& rig) { rig.equations.apply_point_factors(rig.x, rig.y); }},
             {"apply_image_factors",
@@ -163,7 +162,6 @@ int main(int argc, char** argv) {
             {"dot", [](Rig& rig) { rig.device.vectors().dot(rig.x, rig.y); }},
             {"update_state", [](Rig& rig) { rig.device.update(rig.x); }},
         };
-        std::vector<std::unique_ptr<Rig>> rigs;
         struct Variant {
             const char* name;
             Precision precision;
@@ -175,15 +173,23 @@ int main(int argc, char** argv) {
             {"mixed_stored", Precision::mixed, JacobianForm::stored},
             {"double_stored", Precision::double_precision, JacobianForm::stored},
         };
+        // One at a time, made when the first benchmark of its variant runs.
+        std::unique_ptr<Rig> rig;
+        const Variant* variant_of_rig = nullptr;
+        const auto rig_of = [&](const Variant& variant) -> Rig& {
+            if (variant_of_rig != &variant) {
+                rig.reset();
+                rig = std::make_unique<Rig>(context, scene, variant.precision, variant.form);
+                variant_of_rig = &variant;
+            }
+            return *rig;
+        };
         for (const Variant& variant : variants) {
-            rigs.push_back(std::make_unique<Rig>(context, scene, variant.precision, variant.form));
-            const std::string prefix = std::string(variant.name) + '/';
             for (const auto& [name, work] : works)
-                benchmark::RegisterBenchmark(
-                    (prefix + name).c_str(),
-                    [&rig = *rigs.back(), work = work](benchmark::State& state) {
-                        measure(state, rig, work);
-                    })
+                benchmark::RegisterBenchmark(text(variant.name, '/', name).c_str(),
+                                             [&, work = work](benchmark::State& state) {
+                                                 measure(state, rig_of(variant), work);
+                                             })
                     ->UseManualTime()
                     ->Unit(benchmark::kMillisecond);
         }

@@ -219,7 +219,7 @@ void time_kernels(const std::string& path) {
     Vector x = device->make_reduced_vector("x"), y = device->make_reduced_vector("y");
     evaluator.linearize(equations);
     equations.factor_points(1e-4);
-    equations.factor_images(1e-4, equations.u());
+    equations.factor_image_blocks(1e-4);
     equations.apply_image_factors(equations.gradient, x);
 
     const auto measure_kernels = [&](const std::function<void()>& work) {

@@ -17,7 +17,7 @@
 KERNEL void image_blocks(TILES, global const WIDE* restrict images,
                          global const REAL* restrict rows,
                          global const REAL* restrict point_factors,  // 6 rows, or NULL
-                         global WIDE* restrict run_blocks, local WIDE* scratch) {
+                         global REAL* restrict run_blocks, local WIDE* scratch) {
     local REAL kept[2 * COLUMNS * PIECE];
     const int tile = get_group_id(0);
     global const REAL* g = point_factors + (point_factors ? tile_points[tile] : 0);
@@ -114,7 +114,8 @@ KERNEL void image_blocks(TILES, global const WIDE* restrict images,
             } while (row < COLUMNS);
         }
         if (IS_FIRST_LANE)
-            for (int k = 0; k < TRIANGLE; ++k) run_blocks[TRIANGLE * (long)run + k] = total[k];
+            for (int k = 0; k < TRIANGLE; ++k)
+                run_blocks[TRIANGLE * (long)run + k] = (REAL)total[k];
     }
 }
 

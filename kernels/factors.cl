@@ -82,24 +82,22 @@ KERNEL void point_damping(WIDE smallest, WIDE largest, int num_point_slots,
 
 #define PIVOT_SHARE (8 * MAX_BLOCK * WIDE_EPSILON)
 
-// G of A = (packed lower triangle at matrix_offset) + lambda D^2, packed likewise; all 0 and counted
-// if A is not positive definite.
+// G of A = (packed lower triangle at matrix_offset) + lambda D^2, in its place; all 0 and counted if A is
+// not positive definite.
 // Writers: one block each; failures: one count a group.
 KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
                                 global const int* restrict block_offset,
                                 global const int* restrict block_size,
                                 global const int* restrict matrix_offset,
-                                global const WIDE* restrict matrices,
+                                global WIDE* restrict matrices,
                                 global const WIDE* restrict scale,
                                 global const WIDE* restrict d2,
-                                global WIDE* restrict factors,
                                 global int* restrict failures) {
     int failed = 0;
     const int end = share_end(num_blocks);
     LANES_UNVECTORIZED(block, share_begin(num_blocks), end) {
         const int size = block_size[block], offset = block_offset[block];
-        global const WIDE* in = matrices + matrix_offset[block];
-        global WIDE* out = factors + matrix_offset[block];
+        global WIDE* matrix = matrices + matrix_offset[block];
         WIDE a[MAX_TRIANGLE];
         bool is_definite = true;
         // Row by row: L, then L^-1 in its place from the last row up would lose L; so first L.
@@ -108,7 +106,7 @@ KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
             const bool is_free = scale[offset + row] > 0;
             for (int k = 0; k <= row; ++k) {
                 const bool both_free = is_free && scale[offset + k] > 0;
-                WIDE value = both_free ? in[at + k] : (WIDE)0;
+                WIDE value = both_free ? matrix[at + k] : (WIDE)0;
                 if (k == row) value = is_free ? value + lambda * d2[offset + row] : (WIDE)1;
                 const WIDE whole = value;
                 const int above = k * (k + 1) / 2;
@@ -131,14 +129,14 @@ KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
                 const int at = row * (row + 1) / 2;
                 WIDE value = row == column ? (WIDE)1 : (WIDE)0;
                 for (int m = column; m < row; ++m)
-                    value -= a[at + m] * out[m * (m + 1) / 2 + column];
-                out[at + column] = value / a[at + row];
+                    value -= a[at + m] * matrix[m * (m + 1) / 2 + column];
+                matrix[at + column] = value / a[at + row];
             }
         }
         for (int row = 0; row < size; ++row)
             for (int k = 0; k <= row; ++k)
                 if (!is_definite || !(scale[offset + row] > 0) || !(scale[offset + k] > 0))
-                    out[row * (row + 1) / 2 + k] = 0;
+                    matrix[row * (row + 1) / 2 + k] = 0;
         failed += is_definite ? 0 : 1;
     }
 #if LANE_LOOP

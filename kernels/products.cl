@@ -190,7 +190,7 @@ KERNEL void schur_product(TILES, int stages, IMAGES, global const REAL* restrict
 
 // The step of the points that belongs to the step x of the images, and where it leads:
 //   u = -V^-1 (g + W^T x),  trial = points + u,
-// and in tile_sums, from first_sum: |J_F x + J_E u|^2, g . u, |u|^2, |points|^2 of each tile.
+// and in tile_sums, from first_sum: |J_F x + J_E u|^2, g . u, |u|^2 of each tile.
 // Writers: group t alone writes u and trial of its points, and its sums.
 KERNEL void back_substitute(TILES, int stages, IMAGES, global const REAL* restrict rows,
                             global const WIDE* restrict x_f,
@@ -209,7 +209,7 @@ KERNEL void back_substitute(TILES, int stages, IMAGES, global const REAL* restri
         LANES_MEET();
         forward_run(&shared, &part, point, u);
     }
-    WIDE slope = 0, step_norm2 = 0, norm2 = 0;
+    WIDE slope = 0, step_norm2 = 0;
     LANES_MEET();
     if (stages & POINTS) {
         global const REAL* factor = point_factors + tile_points[tile];
@@ -230,7 +230,6 @@ KERNEL void back_substitute(TILES, int stages, IMAGES, global const REAL* restri
             move_position(at, to, iz, low, z2);
             slope += (WIDE)g[i] * z0 + (WIDE)g[iy] * z1 + (WIDE)g[iz] * z2;
             step_norm2 += (WIDE)z0 * z0 + (WIDE)z1 * z1 + (WIDE)z2 * z2;
-            norm2 += at[i] * at[i] + at[iy] * at[iy] + at[iz] * at[iz];
         }
     }
     LANES_MEET();
@@ -248,8 +247,8 @@ KERNEL void back_substitute(TILES, int stages, IMAGES, global const REAL* restri
         }
         moved2 += sum;
     }
-    const WIDE sums[4] = {GROUP_SUM(moved2, scratch), GROUP_SUM(slope, scratch),
-                          GROUP_SUM(step_norm2, scratch), GROUP_SUM(norm2, scratch)};
+    const WIDE sums[3] = {GROUP_SUM(moved2, scratch), GROUP_SUM(slope, scratch),
+                          GROUP_SUM(step_norm2, scratch)};
     if (IS_FIRST_LANE)
-        for (int k = 0; k < 4; ++k) tile_sums[4 * (first_sum + tile) + k] = sums[k];
+        for (int k = 0; k < 3; ++k) tile_sums[3 * (first_sum + tile) + k] = sums[k];
 }

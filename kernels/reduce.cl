@@ -42,7 +42,7 @@ KERNEL void reduce_run_blocks(global const int* restrict block_size,
                               global const int* restrict block_runs,
                               global const int* restrict runs,
                               global const int* restrict matrix_offset,
-                              global const WIDE* restrict run_blocks,
+                              global const REAL* restrict run_blocks,
                               global WIDE* restrict matrices) {
     const int block = get_group_id(0);
     const int size = block_size[block], column = block_column[block];
@@ -54,7 +54,7 @@ KERNEL void reduce_run_blocks(global const int* restrict block_size,
         LANES_UNVECTORIZED(k, 0, row + 1) {
             WIDE sum = out[to + k];
             for (int i = begin; i < end; ++i)
-                sum += run_blocks[(long)TRIANGLE * runs[i] + from + k];
+                sum += (WIDE)run_blocks[(long)TRIANGLE * runs[i] + from + k];
             out[to + k] = sum;
         }
     }

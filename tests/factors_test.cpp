@@ -227,17 +227,17 @@ TEST_P(FactorsTest, ImageBlocks) {
         const auto num_blocks = static_cast<int32_t>(n);
         const int64_t groups = num_groups(num_blocks);
         Buffer failures = make_failures(groups);
-        Buffer factors = upload(std::vector<double>(packed.size(), 1e9));
+        Buffer matrices = upload(packed);
         const Buffer device_offset = upload(offset), device_size = upload(size),
-                     device_matrix = upload(matrix), device_packed = upload(packed),
-                     device_scale = upload(scale), device_d2 = upload(d2);
+                     device_matrix = upload(matrix), device_scale = upload(scale),
+                     device_d2 = upload(d2);
         queue_->launch(Step::vector, kernel("factor_image_blocks"), groups, lambda, num_blocks,
-                       device_offset, device_size, device_matrix, device_packed, device_scale,
-                       device_d2, factors, failures);
+                       device_offset, device_size, device_matrix, matrices, device_scale, device_d2,
+                       failures);
         const Twin twin = twin_factors(blocks);
         EXPECT_EQ(sum(failures), twin.num_failures);
         EXPECT_EQ(twin.num_failures > 0, n > 3);
-        const auto values = download<double>(factors);
+        const auto values = download<double>(matrices);
         for (size_t b = 0; b < n; ++b) {
             RowMajorMatrix g = RowMajorMatrix::Zero(size[b], size[b]);
             size_t next = static_cast<size_t>(matrix[b]);

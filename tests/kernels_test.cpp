@@ -537,7 +537,7 @@ TEST_P(KernelTest, PointRoots) {
 
 TEST_P(KernelTest, InverseFactors) {
     EXPECT_EQ(rig_->equations.factor_points(lambda), 0);
-    EXPECT_EQ(rig_->equations.factor_images(lambda, rig_->equations.u()), 0);
+    EXPECT_EQ(rig_->equations.factor_image_blocks(lambda), 0);
     const std::vector<double> d2 = rig_->damping();
     const std::vector<double> scales = rig_->scales();
     const auto u = rig_->image_matrices(rig_->equations.u());
@@ -616,7 +616,8 @@ TEST_P(KernelTest, EliminationOfPoints) {
     const auto factors = rig_->point_matrices(rig_->equations.point_factors());
     const std::vector<double> g = points_of(rig_->gradient());
     Vector y = rig_->upload_reduced(test::random_vector(layout().num_f, 4));  // to be overwritten
-    rig_->equations.jacobian.eliminate(rig_->equations.point_gradient,
+    rig_->equations.jacobian.eliminate(rig_->device.make_reduced_vector("zero"),
+                                       rig_->equations.point_gradient,
                                        rig_->equations.point_factors(), y);
     const std::vector<double> wanted =
         reduced(layout(), jty(jacobian_, jx(jacobian_, of_points(point_solution(factors, g)))));
@@ -750,12 +751,12 @@ TEST_P(KernelTest, StateUpdateAndImageRecords) {
             EXPECT_NEAR(device_pose.rotation[k], pose.rotation[k], tolerance);
         for (int k = 0; k < 3; ++k)
             EXPECT_NEAR(device_pose.translation[k], pose.translation[k], tolerance * size);
-        const auto at = static_cast<int64_t>(i) * (12 + max_camera_params);
+        const auto at = static_cast<int64_t>(i) * (12 + rig_->device.most_camera_params());
         const auto rotation = rotation_matrix(device_pose.rotation);
         for (int k = 0; k < 9; ++k) EXPECT_NEAR(records[at + k], rotation[k], tolerance);
         for (int k = 0; k < 3; ++k) EXPECT_EQ(records[at + 9 + k], device_pose.translation[k]);
         const Camera& camera = moved.cameras[static_cast<size_t>(moved.images[i].camera)];
-        for (int k = 0; k < max_camera_params; ++k)
+        for (int k = 0; k < rig_->device.most_camera_params(); ++k)
             EXPECT_EQ(records[at + 12 + k], camera.params[k]);
     }
     for (size_t c = 0; c < wanted.cameras.size(); ++c)
@@ -985,7 +986,8 @@ std::vector<double> all_results(const Problem& problem, Precision precision, Jac
     Vector z = rig.device.make_reduced_vector("test");
     rig.equations.jacobian.add_schur_product(y, rig.equations.point_factors(), z);
     append(rig.download_reduced(z));
-    rig.equations.jacobian.eliminate(rig.equations.point_gradient, rig.equations.point_factors(),
+    rig.equations.jacobian.eliminate(rig.device.make_reduced_vector("zero"),
+                                     rig.equations.point_gradient, rig.equations.point_factors(),
                                      z);
     append(rig.download_reduced(z));
     const BackSubstitution points = rig.equations.jacobian.back_substitute(

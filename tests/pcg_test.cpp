@@ -79,9 +79,9 @@ protected:
     }
     PcgResult solve(const PcgOptions& options, VectorXd& x) {
         const VectorXd unset = VectorXd::Constant(b_.size(), std::nan(""));
-        Pcg pcg(options, *queue_, *vectors_, make(unset), make(unset), make(unset), make(unset));
-        Vector device_x = make(unset);
-        const PcgResult result = pcg.solve(*this, lambda, make(d2_), make(b_), device_x);
+        Pcg pcg(options, *queue_, *vectors_, make(unset), make(unset));
+        Vector device_x = make(unset), residual = make(b_);
+        const PcgResult result = pcg.solve(*this, lambda, make(d2_), residual, device_x);
         x = get(device_x);
         return result;
     }

@@ -151,7 +151,11 @@ void expect_buffers_fit(const TileOptions& options, const Chunk& chunk) {
                   options.max_buffer_bytes)
             << "Jacobian";
         EXPECT_LE(slots * 3 * sizeof(double), options.max_buffer_bytes) << "covariances";
-        EXPECT_LE(runs * columns * (columns + 1) / 2 * sizeof(double), options.max_buffer_bytes)
+        EXPECT_LE(runs * 2 * columns * sizeof(double), options.max_buffer_bytes)
+            << "gradients of runs";
+        EXPECT_LE(
+            runs * columns * (columns + 1) / 2 * static_cast<uint64_t>(options.bytes_per_value),
+            options.max_buffer_bytes)
             << "blocks of runs";
     }
 }

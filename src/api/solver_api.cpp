@@ -350,7 +350,7 @@ std::vector<double> multiply(const Problem& problem, DeviceProblem& device, int3
         device.download(vector, y.data());
     } else {
         const int64_t failures =
-            equations.factor_points(lambda) + equations.factor_images(lambda, equations.u());
+            equations.factor_points(lambda) + equations.factor_image_blocks(lambda);
         require(failures == 0, failures,
                 " diagonal blocks of J^T J + lambda D^2 are not positive "
                 "definite at lambda = ",

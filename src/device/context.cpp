@@ -23,7 +23,7 @@ Tuning tuning_for(const DeviceInfo& device) {
     tuning.vectorize = !is_oclgrind;
     if (tuning.lane_loop) {
         tuning.vector_groups = device.compute_units * 4;
-        tuning.tile_groups = device.compute_units * 2;
+        tuning.tile_groups = device.compute_units;
     } else {
         tuning.work_group_size =
             static_cast<int>(std::min<uint64_t>(128, device.max_work_group_size));

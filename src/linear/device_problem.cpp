@@ -26,6 +26,12 @@ void for_slots(int64_t num_slots, Visit&& visit) {
     });
 }
 
+int32_t most_params(const Problem& problem) {
+    int32_t most = 1;
+    for (const Camera& camera : problem.cameras) most = std::max(most, camera.num_params());
+    return most;
+}
+
 void require_double(const Context& context) {
     if (!context.device().has_double)
         fail(Status::no_device, context.device().name,
@@ -96,7 +102,8 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),
       num_cameras_(problem.num_cameras()),
-      num_points_(problem.num_points()) {
+      num_points_(problem.num_points()),
+      most_camera_params_(most_params(problem)) {
     if (precision == Precision::single)
         queue_.pass_floats();
     else
@@ -247,14 +254,15 @@ State DeviceProblem::make_state() {
     made.poses = Buffer(
         queue_, static_cast<uint64_t>(num_images_) * static_cast<uint64_t>(pose_values()) * bytes,
         "poses");
-    made.camera_params =
-        Buffer(queue_, static_cast<uint64_t>(num_cameras_) * max_camera_params * bytes,
-               "camera parameters");
+    made.camera_params = Buffer(
+        queue_,
+        static_cast<uint64_t>(num_cameras_) * static_cast<uint64_t>(most_camera_params_) * bytes,
+        "camera parameters");
     made.points = make_point_rows(3 * position_parts(precision_), bytes, "points");
     made.image_records =
         Buffer(queue_,
                static_cast<uint64_t>(num_images_) * bytes *
-                   static_cast<uint64_t>(9 + 3 * position_parts(precision_) + max_camera_params),
+                   static_cast<uint64_t>(9 + 3 * position_parts(precision_) + most_camera_params_),
                "image records");
     return made;
 }
@@ -294,8 +302,8 @@ void DeviceProblem::upload_state(const Problem& problem) {
                 upload_pose(problem.images[i].pose, &poses[int64_t{pose_values()} * i]);
             const auto params = state.camera_params.map_write<Wide>();
             for (int32_t c = 0; c < num_cameras_; ++c)
-                for (int32_t k = 0; k < max_camera_params; ++k)
-                    params[max_camera_params * int64_t{c} + k] =
+                for (int32_t k = 0; k < most_camera_params_; ++k)
+                    params[most_camera_params_ * int64_t{c} + k] =
                         static_cast<Wide>(problem.cameras[c].params[k]);
         }
         for (size_t c = 0; c < chunks_.size(); ++c) {
@@ -325,8 +333,8 @@ void DeviceProblem::download_state(Problem& problem) const {
         for (int32_t i = 0; i < num_images_; ++i)
             download_pose(&poses[int64_t{pose_values()} * i], problem.images[i].pose);
         for (int32_t c = 0; c < num_cameras_; ++c) {
-            for (int32_t k = 0; k < max_camera_params; ++k) {
-                const Wide value = params[max_camera_params * int64_t{c} + k];
+            for (int32_t k = 0; k < most_camera_params_; ++k) {
+                const Wide value = params[most_camera_params_ * int64_t{c} + k];
                 double& kept = problem.cameras[c].params[k];
                 if (value != static_cast<Wide>(kept)) kept = value;
             }
@@ -380,13 +388,13 @@ void DeviceProblem::download(const Vector& vector, double* values) const {
     }
 }
 
-std::string DeviceProblem::state_defines() const {
-    return precision_defines(precision_) + text(" -DMAX_CAMERA_PARAMS=", max_camera_params);
+std::string DeviceProblem::defines() const {
+    return precision_defines(precision_) + text(" -DMAX_CAMERA_PARAMS=", most_camera_params_);
 }
 
 void DeviceProblem::update(const Vector& step) {
     const auto launch_rows = [&](const char* name, int64_t rows, const auto&... arguments) {
-        queue_.launch(Step::vector, queue_.kernel("state.cl", name, state_defines()),
+        queue_.launch(Step::vector, queue_.kernel("state.cl", name, defines()),
                       std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
     launch_rows("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
@@ -400,7 +408,7 @@ void DeviceProblem::update(const Vector& step) {
 }
 
 void DeviceProblem::update_image_records(const State& of) {
-    queue_.launch(Step::vector, queue_.kernel("state.cl", "image_records", state_defines()),
+    queue_.launch(Step::vector, queue_.kernel("state.cl", "image_records", defines()),
                   std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_,
                   of.poses, image_camera_, of.camera_params, of.image_records);
 }

@@ -36,8 +36,9 @@ struct DeviceChunk {
     const Buffer* point_scale_or_null() const { return point_scale ? &point_scale : nullptr; }
 };
 
-// WIDEs: poses (7 an image), camera parameters (max_camera_params a camera) and points (3 rows over
-// the point slots of each chunk). Single precision: poses of 10 and points of 6 (kernels/state.cl).
+// WIDEs: poses (7 an image), camera parameters (most_camera_params() a camera) and points (3 rows
+// over the point slots of each chunk). Single precision: poses of 10 and points of 6
+// (kernels/state.cl).
 struct State {
     Buffer poses, camera_params;
     std::vector<Buffer> points;
@@ -126,6 +127,9 @@ public:
         return static_cast<uint64_t>(layout_.num_matrix_values) * wide_bytes(precision_);
     }
     int32_t num_images() const { return num_images_; }
+    int32_t most_camera_params() const { return most_camera_params_; }  // of any camera
+    // Of programs that use cameras: how many parameters each has room for, and the precision.
+    std::string defines() const;
     // Fills of.image_records. Those of `state` belong to the Jacobian, which is computed from them.
     void update_image_records(const State& of);
 
@@ -138,7 +142,6 @@ private:
     DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
     State make_state();
     int pose_values() const { return 4 + 3 * position_parts(precision_); }
-    std::string state_defines() const;
     template <class Visit>
     void for_wide(Visit&& visit) const {
         with_wide(precision_, visit);
@@ -150,7 +153,7 @@ private:
     VisibilityTiles tiles_;
     VectorOperations vectors_;
     int64_t num_observations_ = 0;
-    int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0;
+    int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0, most_camera_params_ = 0;
     std::vector<DeviceChunk> chunks_;
     Buffer image_camera_, camera_num_params_, camera_offsets_;
 };

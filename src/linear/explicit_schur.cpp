@@ -227,7 +227,8 @@ LinearSolution ExplicitSchur::solve(double lambda) {
         solution.num_indefinite_blocks = 1;
         return solution;
     }
-    reduced_right_side(equations_, b_);
+    step_.fill_zero();
+    reduced_right_side(equations_, step_, b_);
     DeviceProblem& device = equations_.problem();
     device.read_wide(b_.f, right_side_, right_side_.size());
     const ParameterLayout& layout = device.layout();

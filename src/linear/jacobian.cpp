@@ -12,10 +12,12 @@ namespace {
 constexpr int zero_stage = 1, forward_stage = 2, points_stage = 4, backward_stage = 8;
 constexpr int all_stages = zero_stage | forward_stage | points_stage | backward_stage;
 
-constexpr int sums_per_tile = 4;
+constexpr int sums_per_tile = 3;
 
-int triangle(int columns) {
-    return columns * (columns + 1) / 2;
+// The largest sums of a run: those of a gradient and a diagonal, or of the triangle of a block.
+uint64_t run_sums_bytes(int columns, Precision precision) {
+    const auto n = static_cast<uint64_t>(columns);
+    return std::max(2 * n * wide_bytes(precision), n * (n + 1) / 2 * real_bytes(precision));
 }
 
 }  // namespace
@@ -41,12 +43,11 @@ Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
                 static_cast<uint64_t>(segment.num_slots) * static_cast<uint64_t>(rows) * bytes,
                 "the Jacobian");
             most_sums = std::max(most_sums, static_cast<uint64_t>(segment.num_runs) *
-                                                static_cast<uint64_t>(triangle(columns)));
+                                                run_sums_bytes(columns, problem.precision()));
         }
     }
     point_real_ = problem.make_point_rows(3, bytes, "points in products");
-    // Triangles of blocks are the largest sums of a run: more than a gradient and a diagonal.
-    run_sums_ = Buffer(queue_, most_sums * wide_bytes(problem.precision()), "sums of runs");
+    run_sums_ = Buffer(queue_, most_sums, "sums of runs");
     host_sums_.resize(static_cast<size_t>(sums_per_tile * most_tiles));
     tile_sums_ =
         Buffer(queue_, host_sums_.size() * wide_bytes(problem.precision()), "sums of tiles");
@@ -57,12 +58,11 @@ Jacobian::Programs Jacobian::programs_of(const DeviceSegment& segment) const {
     const std::string common = precision_defines(precision);
     const int columns = segment.num_columns;
     Programs programs;
-    programs.rows =
-        text(common, " -DSTORED=", form_ == JacobianForm::stored ? 1 : 0, " -DWEIGHT_ROWS=",
-             segment.whitening ? 3
-             : has_loss_       ? 1
-                               : 0,
-             " -DMAX_CAMERA_PARAMS=", max_camera_params);
+    programs.rows = text(problem_.defines(), " -DSTORED=", form_ == JacobianForm::stored ? 1 : 0,
+                         " -DWEIGHT_ROWS=",
+                         segment.whitening ? 3
+                         : has_loss_       ? 1
+                                           : 0);
     programs.run_sums =
         text(common, " -DRUN_VALUES=", columns, " -DRUN_REAL=", real_type(precision));
     programs.wide_run_sums =
@@ -183,12 +183,11 @@ void Jacobian::add_schur_product(const Vector& x, const std::vector<Buffer>& poi
     schur_stages(all_stages, x, point_factors, y);
 }
 
-void Jacobian::eliminate(const std::vector<Buffer>& point_gradient,
+void Jacobian::eliminate(const Vector& zero, const std::vector<Buffer>& point_gradient,
                          const std::vector<Buffer>& point_factors, Vector& y) {
-    if (!zero_.f) zero_ = problem_.make_reduced_vector("elimination");
     for (size_t c = 0; c < point_real_.size(); ++c) point_real_[c].copy_from(point_gradient[c]);
     y.fill_zero();
-    schur_stages(points_stage | backward_stage, zero_, point_factors, y);
+    schur_stages(points_stage | backward_stage, zero, point_factors, y);
 }
 
 BackSubstitution Jacobian::back_substitute(const Vector& step,

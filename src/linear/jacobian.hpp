@@ -44,8 +44,8 @@ public:
 
     // y += (J_F^T J_F - W V^-1 W^T) x on the F side, V^-1 = G^T G by point_factors.
     void add_schur_product(const Vector& x, const std::vector<Buffer>& point_factors, Vector& y);
-    // y = -W V^-1 g of the points' g: 3 rows of REAL a chunk.
-    void eliminate(const std::vector<Buffer>& point_gradient,
+    // y = -W V^-1 g of the points' g: 3 rows of REAL a chunk. zero: an F vector of zeros.
+    void eliminate(const Vector& zero, const std::vector<Buffer>& point_gradient,
                    const std::vector<Buffer>& point_factors, Vector& y);
     // problem.trial.points = problem.state.points - V^-1 (g + W^T step).
     BackSubstitution back_substitute(const Vector& step, const std::vector<Buffer>& point_gradient,
@@ -94,7 +94,6 @@ private:
     std::vector<Buffer> product_;     // made when it is first asked for
     std::vector<Buffer> point_real_;  // 3 rows of REAL a chunk
     Buffer run_sums_;                 // of one segment at a time
-    Vector zero_;                     // F alone; made when it is first needed
     Buffer tile_sums_;
     std::vector<double> host_sums_;
 };

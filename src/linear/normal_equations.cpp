@@ -130,12 +130,22 @@ int64_t NormalEquations::factor_points(double lambda) {
     return failures;
 }
 
-int64_t NormalEquations::factor_images(double lambda, const Buffer& matrices) {
+int64_t NormalEquations::factor_image_blocks(double lambda) {
+    image_factors_.copy_from(u());
+    return factor_images(lambda);
+}
+
+int64_t NormalEquations::factor_schur_blocks(double lambda) {
+    jacobian.schur_blocks(point_factors_, image_factors_);
+    return factor_images(lambda);
+}
+
+// Of the blocks that image_factors_ holds.
+int64_t NormalEquations::factor_images(double lambda) {
     const int64_t groups = num_groups(problem_.num_blocks());
     queue_.launch(Step::preconditioner, kernel("factor_image_blocks"), groups, lambda,
                   problem_.num_blocks(), problem_.block_offset, problem_.block_size,
-                  problem_.matrix_offset, matrices, problem_.scale_f, d2_.f, image_factors_,
-                  failures_);
+                  problem_.matrix_offset, image_factors_, problem_.scale_f, d2_.f, failures_);
     return read_failures(groups);
 }
 

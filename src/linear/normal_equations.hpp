@@ -45,7 +45,8 @@ public:
 
     // Inverse factors of blocks + lambda D^2; return how many are not positive definite.
     int64_t factor_points(double lambda);
-    int64_t factor_images(double lambda, const Buffer& matrices);
+    int64_t factor_image_blocks(double lambda);  // of U
+    int64_t factor_schur_blocks(double lambda);  // of U - W V_lambda^-1 W^T, after factor_points
     const std::vector<Buffer>& point_factors() const { return point_factors_; }
     const Buffer& image_factors() const { return image_factors_; }
     // z = G^T G r.
@@ -57,6 +58,7 @@ private:
     int64_t num_groups(int64_t n) const;
     int64_t read_failures(int64_t groups);
     void update_point_damping(std::vector<Buffer>& d2);
+    int64_t factor_images(double lambda);
 
     DeviceProblem& problem_;
     Queue& queue_;
@@ -68,7 +70,7 @@ private:
     Buffer u_;                  // made when it is first asked for
     Vector d2_;
     std::vector<Buffer> fixed_point_damping_;  // levenberg alone: of the first linearisation
-    Buffer image_factors_;
+    Buffer image_factors_;                     // packed lower triangles at matrix_offset
     std::vector<Buffer> point_factors_;
     Buffer failures_;
 };

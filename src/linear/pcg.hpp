@@ -29,25 +29,24 @@ struct PcgResult {
 // are once an iteration, or less often where a look costs more than an iteration.
 class Pcg {
 public:
-    // like: a vector with the parts of the system's.
-    Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vector r, Vector z,
-        Vector p, Vector q);
+    // p and zq: working space, vectors with the parts of the system's.
+    Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vector p, Vector zq);
 
     void limit_iterations(int max_iterations) { options_.max_iterations = max_iterations; }
-    // Solves (A + lambda D^2) x = b from x = 0. Stops when iteration k improves the quadratic model
-    // Q(x) = 1/2 x^T A x - b^T x by a share less than eta / k: k (Q_k - Q_k-1) / Q_k < eta (Nash
-    // and Sofer, "Assessing a search direction within a truncated-Newton method", 1990). On
-    // negative curvature, or a number that is not finite, what was found before is kept; it is
-    // usable if there was an iteration.
-    PcgResult solve(PcgSystem& system, double lambda, const Vector& d2, const Vector& b, Vector& x);
+    // Solves (A + lambda D^2) x = b from x = 0; r is b before, and the residual after. Stops when
+    // iteration k improves the quadratic model Q(x) = 1/2 x^T A x - b^T x by a share less than eta
+    // / k: k (Q_k - Q_k-1) / Q_k < eta (Nash and Sofer, "Assessing a search direction within a
+    // truncated-Newton method", 1990). On negative curvature, or a number that is not finite, what
+    // was found before is kept; it is usable if there was an iteration.
+    PcgResult solve(PcgSystem& system, double lambda, const Vector& d2, Vector& r, Vector& x);
 
 private:
     PcgOptions options_;
     Queue& queue_;
     VectorOperations& vectors_;
-    Vector r_, z_, p_, q_;
+    Vector p_, zq_;  // the direction; the preconditioned residual, then the product with p
     int32_t num_partials_ = 0;
-    Buffer partials_;  // of rho, of rho before, of the curvature and of the model
+    Buffer partials_;  // of rho, of rho before and of the curvature
     std::vector<double> host_partials_;
 };
 

@@ -10,7 +10,7 @@ namespace {
 template <class MakeVector>
 Pcg make_pcg(const LinearSolverOptions& options, DeviceProblem& problem, MakeVector&& make_vector) {
     return Pcg({options.min_iterations, options.max_iterations, options.eta}, problem.queue(),
-               problem.vectors(), make_vector(), make_vector(), make_vector(), make_vector());
+               problem.vectors(), make_vector(), make_vector());
 }
 
 }  // namespace
@@ -23,7 +23,7 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
     equations.keep_wide_gradient();
     gradient_ = problem.make_vector("the gradient");
     damping_ = problem.make_vector("the damping");
-    b_ = problem.make_vector("PCG");
+    residual_ = problem.make_vector("PCG");
     step_ = problem.make_vector("the step");
 }
 
@@ -31,12 +31,12 @@ LinearSolution PcgHessian::solve(double lambda) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
     solution.num_indefinite_blocks =
-        equations_.factor_points(lambda) + equations_.factor_images(lambda, equations_.u());
+        equations_.factor_points(lambda) + equations_.factor_image_blocks(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     equations_.get_gradient(gradient_);
     equations_.get_damping(damping_);
-    vectors.scale_and_add(-1.0, gradient_, 0.0, b_);
-    const PcgResult result = pcg_.solve(*this, lambda, damping_, b_, step_);
+    vectors.scale_and_add(-1.0, gradient_, 0.0, residual_);
+    const PcgResult result = pcg_.solve(*this, lambda, damping_, residual_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
@@ -63,27 +63,22 @@ PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equation
       pcg_(make_pcg(options, equations.problem(),
                     [&] { return equations.problem().make_reduced_vector("PCG"); })) {
     DeviceProblem& problem = equations.problem();
-    b_ = problem.make_reduced_vector("PCG");
+    residual_ = problem.make_reduced_vector("PCG");
     step_ = problem.make_reduced_vector("the step");
-    if (preconditioner_ == Preconditioner::schur_jacobi)
-        schur_blocks_ = Buffer(problem.queue(), problem.matrices_bytes(), "Schur blocks");
 }
 
 LinearSolution PcgSchur::solve(double lambda) {
     LinearSolution solution;
-    Jacobian& jacobian = equations_.jacobian;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
-    if (preconditioner_ == Preconditioner::schur_jacobi) {
-        jacobian.schur_blocks(equations_.point_factors(), schur_blocks_);
-        solution.num_indefinite_blocks = equations_.factor_images(lambda, schur_blocks_);
-    } else {
-        solution.num_indefinite_blocks = equations_.factor_images(lambda, equations_.u());
-    }
+    solution.num_indefinite_blocks = preconditioner_ == Preconditioner::schur_jacobi
+                                         ? equations_.factor_schur_blocks(lambda)
+                                         : equations_.factor_image_blocks(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
 
-    reduced_right_side(equations_, b_);
-    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), b_, step_);
+    step_.fill_zero();
+    reduced_right_side(equations_, step_, residual_);
+    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), residual_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (solution.is_usable) take_reduced_step(equations_, step_, solution);

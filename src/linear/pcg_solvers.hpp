@@ -20,7 +20,7 @@ private:
 
     NormalEquations& equations_;
     Pcg pcg_;
-    Vector gradient_, damping_, b_, step_;
+    Vector gradient_, damping_, residual_, step_;
 };
 
 // PCG on the reduced camera system S = U_lambda - W V_lambda^-1 W^T, never formed, and
@@ -41,8 +41,7 @@ private:
     Preconditioner preconditioner_;
     NormalEquations& equations_;
     Pcg pcg_;
-    Vector b_, step_;  // F alone
-    Buffer schur_blocks_;
+    Vector residual_, step_;  // F alone
 };
 
 }  // namespace clba

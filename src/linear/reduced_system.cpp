@@ -5,8 +5,8 @@
 
 namespace clba {
 
-void reduced_right_side(NormalEquations& equations, Vector& b) {
-    equations.jacobian.eliminate(equations.point_gradient, equations.point_factors(), b);
+void reduced_right_side(NormalEquations& equations, const Vector& zero, Vector& b) {
+    equations.jacobian.eliminate(zero, equations.point_gradient, equations.point_factors(), b);
     equations.problem().vectors().scale_and_add(-1.0, equations.gradient, -1.0, b);
 }
 

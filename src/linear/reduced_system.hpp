@@ -8,8 +8,8 @@ namespace clba {
 // The reduced camera system S delta_F = b with S = U_lambda - W V_lambda^-1 W^T, after
 // factor_points.
 
-// b = -g_F + W V_lambda^-1 g_E.
-void reduced_right_side(NormalEquations& equations, Vector& b);
+// b = -g_F + W V_lambda^-1 g_E. zero: an F vector of zeros.
+void reduced_right_side(NormalEquations& equations, const Vector& zero, Vector& b);
 
 // Moves the trial state by step, and the points by -V_lambda^-1 (g_E + W^T step), and completes the
 // solution.

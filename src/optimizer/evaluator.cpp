@@ -44,8 +44,7 @@ std::string Evaluator::defines(const DeviceSegment& segment) const {
 
 CostEvaluation Evaluator::cost(const State& state, std::vector<Buffer>* residuals) {
     problem_.update_image_records(state);
-    const std::string common =
-        precision_defines(problem_.precision()) + text(" -DMAX_CAMERA_PARAMS=", max_camera_params);
+    const std::string common = problem_.defines();
     size_t index = 0;
     int32_t num_tiles = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {

@@ -243,10 +243,13 @@ private:
                 shares[s].num_slots * (2 * columns + 6) * options_.bytes_per_value;
             const int64_t whitening =
                 shares[s].num_slots * 3 * static_cast<int64_t>(sizeof(double));
-            const int64_t run_blocks = shares[s].num_runs * columns * (columns + 1) / 2 *
-                                       static_cast<int64_t>(sizeof(double));
-            largest = std::max(largest,
-                               static_cast<uint64_t>(std::max({jacobian, whitening, run_blocks})));
+            // A gradient and a diagonal, or the triangle of a block.
+            const int64_t run_sums =
+                shares[s].num_runs *
+                std::max<int64_t>(2 * columns * static_cast<int64_t>(sizeof(double)),
+                                  columns * (columns + 1) / 2 * options_.bytes_per_value);
+            largest =
+                std::max(largest, static_cast<uint64_t>(std::max({jacobian, whitening, run_sums})));
             most_slots = std::max(most_slots, shares[s].num_slots);
         }
         return largest <= options_.max_buffer_bytes &&
