@@ -18,22 +18,23 @@ static inline void fetch(global const char* record) {
 }
 #endif
 
-// blocks[block_offset ...] += the block's sum: rows x columns, row-major.
+// values[block_offset ...] += the sum of each of the blocks: rows x columns, row-major.
 // Writers: one block each.
-KERNEL void schur_pairs(int num_blocks, global const int* restrict block_rows,
+KERNEL void schur_pairs(int num_blocks, global const int* restrict blocks,
+                        global const int* restrict block_rows,
                         global const int* restrict block_columns,
                         global const long* restrict block_offset,
-                        global const long* restrict block_pairs,  // first of each block, and end
+                        global const long* restrict block_pairs,  // first of each of `blocks`, and end
                         global const int2* restrict pairs,        // records a and b
-                        global const char* restrict records, global WIDE* restrict blocks) {
+                        global const char* restrict records, global WIDE* restrict values) {
     const int begin = BLOCKS_PER_GROUP * (int)get_group_id(0);
     const int end = min(num_blocks, begin + BLOCKS_PER_GROUP);
-    LANES_UNVECTORIZED(block, begin, end) {
+    LANES_UNVECTORIZED(entry, begin, end) {
         wide16 sum[MAX_COLUMNS];
 #pragma unroll
         for (int k = 0; k < MAX_COLUMNS; ++k) sum[k] = 0;
-        const long pairs_end = block_pairs[block + 1];
-        for (long pair = block_pairs[block]; pair < pairs_end; ++pair) {
+        const long pairs_end = block_pairs[entry + 1];
+        for (long pair = block_pairs[entry]; pair < pairs_end; ++pair) {
             const int a = pairs[pair].x, b = pairs[pair].y;
             global const char* record_a = records + RECORD_BYTES * (long)a;
             global const char* record_b = records + RECORD_BYTES * (long)b;
@@ -62,7 +63,8 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict block_rows,
                 sum[k] += (WIDE)f[MAX_COLUMNS + k] * v1;
             }
         }
-        global WIDE* out = blocks + block_offset[block];
+        const int block = blocks[entry];
+        global WIDE* out = values + block_offset[block];
         const int columns = block_columns[block];
 #pragma unroll
         for (int k = 0; k < MAX_COLUMNS; ++k) {

@@ -7,13 +7,13 @@
 #include "jacobian.clh"
 #include "schur_records.clh"
 
-// The record of each observation.
-// Writers: group t alone writes the records of its runs' slots, counted from first_record.
+// The record of each observation of the tiles from first_tile.
+// Writers: a tile's group alone writes the records of its runs' slots, counted from first_record.
 KERNEL void schur_records(TILES, global const WIDE* restrict images,
                           global const REAL* restrict rows,
                           global const REAL* restrict point_factors,  // G, 6 rows
-                          int first_record, global char* restrict records) {
-    const int tile = get_group_id(0);
+                          int first_tile, int first_record, global char* restrict records) {
+    const int tile = first_tile + get_group_id(0);
     global const REAL* g = point_factors + tile_points[tile];
     for (int run = tile_runs[tile]; run < tile_runs[tile + 1]; ++run) {
         const int first = run_slots[run];

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
@@ -45,13 +46,15 @@ double AutoSolver::break_even_iterations() {
         (static_cast<double>(num_pairs) * seconds_per_pair + num_slots * seconds_per_record) /
         units;
     // What explicit_schur would hold, without S and its factor.
+    const SliceSize slice = ExplicitSchur::slice_size(device);
     const double bytes =
-        static_cast<double>(num_pairs) * bytes_per_pair + num_slots * bytes_per_record;
+        static_cast<double>(num_pairs) * bytes_per_pair +
+        std::min(num_slots, static_cast<double>(slice.num_records)) * bytes_per_record;
     const DeviceInfo& info = device.queue().context().device();
     if (bytes > most_memory * static_cast<double>(info.global_memory_bytes))
         return std::numeric_limits<double>::infinity();
-    const SchurStructure structure(problem_, device.tiles());
-    const double flops = estimate_flops(schur_pattern(problem_, device.layout(), structure));
+    structure_.emplace(problem_, device.tiles(), slice);
+    const double flops = estimate_flops(schur_pattern(problem_, device.layout(), *structure_));
     return (forming + flops * seconds_per_flop / workers) / of_product;
 }
 
@@ -75,7 +78,7 @@ LinearSolution AutoSolver::solve(double lambda) {
 
 bool AutoSolver::make_explicit(int num_iterations) {
     try {
-        explicit_ = std::make_unique<ExplicitSchur>(problem_, equations_);
+        explicit_ = std::make_unique<ExplicitSchur>(problem_, equations_, std::move(*structure_));
     } catch (const Error& error) {
         if (error.status() != Status::out_of_memory) throw;
         reason_ = "there was no memory for explicit_schur";

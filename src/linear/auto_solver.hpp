@@ -31,8 +31,9 @@ private:
     PcgSchur pcg_;
     int max_iterations_;
     std::unique_ptr<ExplicitSchur> explicit_;
-    LinearSolver* last_ = &pcg_;        // that took a step
-    std::optional<double> break_even_;  // iterations that cost as much as an explicit step
+    LinearSolver* last_ = &pcg_;               // that took a step
+    std::optional<double> break_even_;         // iterations that cost as much as an explicit step
+    std::optional<SchurStructure> structure_;  // found on the way to it
     int num_steps_ = 0;
     std::string reason_;
 };

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
@@ -44,9 +45,16 @@ std::vector<int64_t> block_offsets(const Problem& problem, const SchurStructure&
 
 }  // namespace
 
-ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations)
+SliceSize ExplicitSchur::slice_size(DeviceProblem& problem) {
+    constexpr int64_t records_per_unit = 1 << 16, most_records = 1 << 20;
+    const int32_t units = std::max(problem.queue().context().device().compute_units, 1);
+    return {units, std::min(units * records_per_unit, most_records)};
+}
+
+ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
+                             SchurStructure structure)
     : equations_(equations),
-      structure_(problem, equations.problem().tiles()),
+      structure_(std::move(structure)),
       block_offset_(block_offsets(problem, structure_)),
       pattern_(schur_pattern(problem, equations.problem().layout(), structure_)),
       cholesky_(pattern_, num_workers()),
@@ -73,14 +81,15 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations)
     blocks_ = Buffer(queue, static_cast<uint64_t>(block_offset_.back()) * wide_bytes(precision),
                      "the Schur complement");
     int64_t most_records = 0;
-    for (SchurStructure::ChunkPairs& chunk : structure_.chunks) {
-        most_records = std::max(most_records, chunk.num_records);
-        ChunkBuffers& buffers = chunk_buffers_.emplace_back();
-        buffers.block_pairs = upload(queue, chunk.block_pairs, "pairs of observations");
-        buffers.pairs = upload(queue, chunk.pairs, "pairs of observations");
-        chunk.pairs = {};
-        chunk.block_pairs = {};
+    for (size_t s = 0; s < structure_.slices().size(); ++s) {
+        most_records = std::max(most_records, structure_.slices()[s].num_records);
+        const SchurStructure::Pairs pairs = structure_.list_pairs(s);
+        slice_buffers_.push_back({static_cast<int32_t>(pairs.blocks.size()),
+                                  upload(queue, pairs.blocks, "pairs of observations"),
+                                  upload(queue, pairs.block_pairs, "pairs of observations"),
+                                  upload(queue, pairs.pairs, "pairs of observations")});
     }
+    structure_.forget_pairs();
     const auto records = static_cast<uint64_t>(most_records);
     // One more, as whole vectors are read of the last one.
     records_ = Buffer(queue, (records + 1) * record_bytes(max_columns_, precision),
@@ -134,25 +143,28 @@ void ExplicitSchur::form_blocks() {
     Queue& queue = device.queue();
     Jacobian& jacobian = equations_.jacobian;
     blocks_.fill_zero();
-    const auto num_blocks = static_cast<int32_t>(structure_.num_blocks());
     const std::string max_columns = text(" -DMAX_COLUMNS=", max_columns_);
     const std::string defines = precision_defines(device.precision()) + max_columns;
-    size_t index = 0;
-    for (size_t c = 0; c < device.chunks().size(); ++c) {
-        const DeviceChunk& chunk = device.chunks()[c];
+    std::vector<size_t> first_segment = {0};  // of each chunk
+    for (const DeviceChunk& chunk : device.chunks())
+        first_segment.push_back(first_segment.back() + chunk.segments.size());
+    for (size_t k = 0; k < slice_buffers_.size(); ++k) {
+        if (slice_buffers_[k].num_blocks == 0) continue;
+        const SchurStructure::Slice& slice = structure_.slices()[k];
+        const DeviceChunk& chunk = device.chunks()[slice.chunk];
         for (size_t s = 0; s < chunk.segments.size(); ++s) {
-            const DeviceSegment& segment = chunk.segments[s];
-            device.launch(Step::preconditioner, "schur_records.cl", "schur_records",
-                          jacobian.defines(index) + max_columns, chunk, segment,
-                          device.state.image_records, jacobian.rows()[index],
-                          equations_.point_factors()[c], structure_.chunks[c].first_record[s],
-                          records_);
-            ++index;
+            const size_t index = first_segment[slice.chunk] + s;
+            device.launch_groups(slice.num_tiles, Step::preconditioner, "schur_records.cl",
+                                 "schur_records", jacobian.defines(index) + max_columns, chunk,
+                                 chunk.segments[s], device.state.image_records,
+                                 jacobian.rows()[index], equations_.point_factors()[slice.chunk],
+                                 slice.first_tile, slice.first_record[s], records_);
         }
+        const SliceBuffers& buffers = slice_buffers_[k];
         queue.launch(Step::preconditioner, queue.kernel("schur_pairs.cl", "schur_pairs", defines),
-                     (num_blocks + blocks_per_group - 1) / blocks_per_group, num_blocks,
-                     block_rows_, block_columns_, block_offsets_, chunk_buffers_[c].block_pairs,
-                     chunk_buffers_[c].pairs, records_, blocks_);
+                     (buffers.num_blocks + blocks_per_group - 1) / blocks_per_group,
+                     buffers.num_blocks, buffers.blocks, block_rows_, block_columns_,
+                     block_offsets_, buffers.block_pairs, buffers.pairs, records_, blocks_);
     }
 }
 

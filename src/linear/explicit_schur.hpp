@@ -13,7 +13,14 @@ namespace clba {
 // block-sparse Cholesky factorisation: an exact step in WIDE.
 class ExplicitSchur : public LinearSolver {
 public:
-    ExplicitSchur(const Problem& problem, NormalEquations& equations);
+    ExplicitSchur(const Problem& problem, NormalEquations& equations)
+        : ExplicitSchur(problem, equations,
+                        SchurStructure(problem, equations.problem().tiles(),
+                                       slice_size(equations.problem()))) {}
+    ExplicitSchur(const Problem& problem, NormalEquations& equations, SchurStructure structure);
+
+    // Slices whose records fit the caches, with work for every compute unit.
+    static SliceSize slice_size(DeviceProblem& problem);
     LinearSolution solve(double lambda) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::explicit_schur; }
@@ -30,7 +37,6 @@ private:
         bool is_added_both_ways;  // P + P^T
     };
 
-    void upload_structure();
     void list_targets(const Problem& problem, const BlockPattern& pattern);
     bool factorize(double lambda, double& seconds);  // adds what it took
     void finish_values(double lambda, double* values);
@@ -51,13 +57,14 @@ private:
     std::vector<double> damping_, right_side_;
     int32_t max_columns_ = 0;
     // On the device.
-    struct ChunkBuffers {
-        Buffer block_pairs, pairs;
+    struct SliceBuffers {
+        int32_t num_blocks;
+        Buffer blocks, block_pairs, pairs;
     };
-    std::vector<ChunkBuffers> chunk_buffers_;
+    std::vector<SliceBuffers> slice_buffers_;
     Buffer block_rows_, block_columns_, block_offsets_;
     Buffer blocks_;
-    Buffer records_;  // of observations, of one chunk at a time
+    Buffer records_;  // of observations, of one slice at a time
     Vector b_, step_;
 };
 
