@@ -36,10 +36,9 @@ PROJECT = pathlib.Path(__file__).resolve().parent.parent
 TAUS = [0.1, 0.01, 0.001, 0.0001]
 
 CLBA_SOLVERS = [
+    "clba:auto:mixed",
+    "clba:auto:double",
     "clba:pcg_schur:schur_jacobi:mixed",
-    "clba:pcg_schur:schur_jacobi:double",
-    "clba:direct_schur:mixed",
-    "clba:direct_schur:double",
 ]
 CERES_SOLVERS = [
     "ceres:dense_schur",
