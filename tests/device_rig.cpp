@@ -78,6 +78,7 @@ void set_shape(Context& context, const Shape& shape) {
         context.tuning.vectorize = shape.vectorize && made.tuning.vectorize;
         context.tuning.work_group_size = shape.work_group_size;
         context.tuning.vector_groups = shape.vector_groups;
+        context.tuning.pcg_interval = shape.lane_loop ? 1 : 3;
         context.tuning.lanes = shape.lanes;
         context.tuning.points_per_tile = shape.points_per_tile;
     }

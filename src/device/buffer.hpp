@@ -4,6 +4,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 struct _cl_mem;
 
@@ -24,6 +25,12 @@ public:
     Buffer() = default;
     // label says what it is for, in the error when there is not enough memory. 0 bytes are allowed.
     Buffer(Queue& queue, uint64_t bytes, const std::string& label);
+    // What `values` hold.
+    template <class Value>
+    Buffer(Queue& queue, const std::vector<Value>& values, const std::string& label)
+        : Buffer(queue, values.size() * sizeof(Value), label) {
+        write(values.data(), bytes_);
+    }
     Buffer(Buffer&& other) noexcept { swap(other); }
     Buffer& operator=(Buffer&& other) noexcept {
         Buffer(std::move(other)).swap(*this);

@@ -30,6 +30,7 @@ Tuning tuning_for(const DeviceInfo& device) {
         tuning.vector_groups = device.compute_units * 8;
         tuning.tile_groups = device.compute_units * 8;
         tuning.points_per_tile = 512;
+        tuning.pcg_interval = 4;
     }
     return tuning;
 }

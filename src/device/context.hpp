@@ -36,6 +36,7 @@ struct Tuning {
     int work_group_size = 1;
     int vector_groups = 1;            // work-groups for kernels over vectors
     int tile_groups = 1;              // work-groups that share tiles out among themselves
+    int pcg_interval = 1;             // iterations of PCG between looks at how it goes
     int lanes = 16;                   // padding of runs
     int32_t points_per_tile = 32768;  // at most
 };

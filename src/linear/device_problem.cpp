@@ -123,13 +123,6 @@ const std::string& DeviceProblem::camera_model_path(int32_t model) {
     return paths[static_cast<size_t>(model)];
 }
 
-template <class Value>
-Buffer DeviceProblem::upload_values(const std::vector<Value>& values, const char* label) {
-    Buffer buffer(queue_, values.size() * sizeof(Value), label);
-    buffer.write(values.data(), buffer.bytes());
-    return buffer;
-}
-
 Buffer DeviceProblem::upload_wide(const std::vector<double>& values, const char* label) {
     Buffer buffer(queue_, values.size() * wide_bytes(precision_), label);
     write_wide(values, buffer);
@@ -150,12 +143,12 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         image_intrinsics.push_back(layout_.intrinsics_offset[image.camera]);
     }
     for (const Camera& camera : problem.cameras) camera_num_params.push_back(camera.num_params());
-    pose_offsets = upload_values(layout_.pose_offset, "pose offsets");
-    intrinsics_offsets = upload_values(image_intrinsics, "intrinsics offsets");
+    pose_offsets = Buffer(queue_, layout_.pose_offset, "pose offsets");
+    intrinsics_offsets = Buffer(queue_, image_intrinsics, "intrinsics offsets");
     scale_f = upload_wide(layout_.scale, "image-camera scales");
-    image_camera_ = upload_values(image_camera, "cameras of images");
-    camera_num_params_ = upload_values(camera_num_params, "camera sizes");
-    camera_offsets_ = upload_values(layout_.intrinsics_offset, "camera offsets");
+    image_camera_ = Buffer(queue_, image_camera, "cameras of images");
+    camera_num_params_ = Buffer(queue_, camera_num_params, "camera sizes");
+    camera_offsets_ = Buffer(queue_, layout_.intrinsics_offset, "camera offsets");
 
     std::vector<int32_t> offset, size, matrix;
     for (const ParameterBlock& block : layout_.blocks) {
@@ -163,9 +156,9 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         size.push_back(block.size);
         matrix.push_back(block.matrix);
     }
-    block_offset = upload_values(offset, "block offsets");
-    block_size = upload_values(size, "block sizes");
-    matrix_offset = upload_values(matrix, "matrix offsets");
+    block_offset = Buffer(queue_, offset, "block offsets");
+    block_size = Buffer(queue_, size, "block sizes");
+    matrix_offset = Buffer(queue_, matrix, "matrix offsets");
 
     for (const Chunk& chunk : tiles_.chunks) {
         DeviceChunk device_chunk;
@@ -179,8 +172,8 @@ void DeviceProblem::upload_structure(const Problem& problem) {
             device_chunk.max_tile_slots =
                 std::max(device_chunk.max_tile_slots, end - chunk.tile_points[tile]);
         }
-        device_chunk.tile_points = upload_values(chunk.tile_points, "tiles");
-        device_chunk.tile_num_points = upload_values(chunk.tile_num_points, "tiles");
+        device_chunk.tile_points = Buffer(queue_, chunk.tile_points, "tiles");
+        device_chunk.tile_num_points = Buffer(queue_, chunk.tile_num_points, "tiles");
         if (has_point_scales(problem)) {
             const int64_t n = chunk.num_point_slots;
             std::vector<double> scale(static_cast<size_t>(3 * n), 1.0);
@@ -204,10 +197,10 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.num_runs = segment.num_runs();
     device_segment.num_slots = segment.num_slots();
     device_segment.num_blocks = static_cast<int32_t>(segment.block.size());
-    device_segment.tile_runs = upload_values(segment.tile_runs, "runs");
-    device_segment.run_image = upload_values(segment.run_image, "runs");
-    device_segment.run_slots = upload_values(segment.run_slots, "runs");
-    device_segment.slot_point = upload_values(segment.slot_point, "observations' points");
+    device_segment.tile_runs = Buffer(queue_, segment.tile_runs, "runs");
+    device_segment.run_image = Buffer(queue_, segment.run_image, "runs");
+    device_segment.run_slots = Buffer(queue_, segment.run_slots, "runs");
+    device_segment.slot_point = Buffer(queue_, segment.slot_point, "observations' points");
 
     std::vector<int32_t> offset, size, matrix;
     for (int32_t block : segment.block) {
@@ -215,12 +208,12 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
         size.push_back(layout_.blocks[block].size);
         matrix.push_back(layout_.blocks[block].matrix);
     }
-    device_segment.block_offset = upload_values(offset, "block offsets");
-    device_segment.block_size = upload_values(size, "block sizes");
-    device_segment.matrix_offset = upload_values(matrix, "matrix offsets");
-    device_segment.block_column = upload_values(segment.block_column, "block columns");
-    device_segment.block_runs = upload_values(segment.block_runs, "block runs");
-    device_segment.runs = upload_values(segment.runs, "block runs");
+    device_segment.block_offset = Buffer(queue_, offset, "block offsets");
+    device_segment.block_size = Buffer(queue_, size, "block sizes");
+    device_segment.matrix_offset = Buffer(queue_, matrix, "matrix offsets");
+    device_segment.block_column = Buffer(queue_, segment.block_column, "block columns");
+    device_segment.block_runs = Buffer(queue_, segment.block_runs, "block runs");
+    device_segment.runs = Buffer(queue_, segment.runs, "block runs");
 
     const auto fill = [&](Buffer& buffer, int rows, auto&& value) {
         buffer = Buffer(queue_,

@@ -135,8 +135,6 @@ public:
 
 private:
     static const std::string& camera_model_path(int32_t model);
-    template <class Value>
-    Buffer upload_values(const std::vector<Value>& values, const char* label);
     Buffer upload_wide(const std::vector<double>& values, const char* label);
     void upload_structure(const Problem& problem);
     DeviceSegment upload_segment(const Problem& problem, const Segment& segment);

@@ -22,13 +22,6 @@ uint64_t record_bytes(int32_t max_columns, Precision precision) {
     return (point_offset + 6 * wide_bytes(precision) + 63) / 64 * 64;
 }
 
-template <class Value>
-Buffer upload(Queue& queue, const std::vector<Value>& values, const char* label) {
-    Buffer buffer(queue, values.size() * sizeof(Value), label);
-    buffer.write(values.data(), buffer.bytes());
-    return buffer;
-}
-
 int32_t num_columns(const Problem& problem, int32_t image) {
     return num_pose_params + problem.cameras[problem.images[image].camera].num_params();
 }
@@ -74,9 +67,9 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
             max_columns_ = std::max(max_columns_, rows.back());
         }
     }
-    block_rows_ = upload(queue, rows, "blocks of S");
-    block_columns_ = upload(queue, columns, "blocks of S");
-    block_offsets_ = upload(queue, block_offset_, "blocks of S");
+    block_rows_ = Buffer(queue, rows, "blocks of S");
+    block_columns_ = Buffer(queue, columns, "blocks of S");
+    block_offsets_ = Buffer(queue, block_offset_, "blocks of S");
     const Precision precision = device.precision();
     blocks_ = Buffer(queue, static_cast<uint64_t>(block_offset_.back()) * wide_bytes(precision),
                      "the Schur complement");
@@ -85,9 +78,9 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
         most_records = std::max(most_records, structure_.slices()[s].num_records);
         const SchurStructure::Pairs pairs = structure_.list_pairs(s);
         slice_buffers_.push_back({static_cast<int32_t>(pairs.blocks.size()),
-                                  upload(queue, pairs.blocks, "pairs of observations"),
-                                  upload(queue, pairs.block_pairs, "pairs of observations"),
-                                  upload(queue, pairs.pairs, "pairs of observations")});
+                                  Buffer(queue, pairs.blocks, "pairs of observations"),
+                                  Buffer(queue, pairs.block_pairs, "pairs of observations"),
+                                  Buffer(queue, pairs.pairs, "pairs of observations")});
     }
     structure_.forget_pairs();
     const auto records = static_cast<uint64_t>(most_records);

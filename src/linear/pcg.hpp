@@ -25,8 +25,8 @@ struct PcgResult {
     int num_iterations = 0;
 };
 
-// Preconditioned conjugate gradients. All scalars stay on the device; the host looks at what they
-// are once an iteration, or less often where a look costs more than an iteration.
+// Preconditioned conjugate gradients. The device decides where they end: the host looks whether they
+// have once an iteration, or less often where a look costs more than an iteration.
 class Pcg {
 public:
     // p and zq: working space, vectors with the parts of the system's.
@@ -47,7 +47,8 @@ private:
     Vector p_, zq_;  // the direction; the preconditioned residual, then the product with p
     int32_t num_partials_ = 0;
     Buffer partials_;  // of rho, of rho before and of the curvature
-    std::vector<double> host_partials_;
+    Buffer controls_;
+    std::vector<double> host_controls_;
 };
 
 }  // namespace clba
