@@ -9,7 +9,7 @@ install(TARGETS clba EXPORT clba-targets
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
         RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR}
         INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
-install(FILES include/clba/clba.h ${PROJECT_BINARY_DIR}/include/clba/clba_export.h
+install(FILES include/clba/clba.h include/clba/clba.hpp ${PROJECT_BINARY_DIR}/include/clba/clba_export.h
               ${PROJECT_BINARY_DIR}/include/clba/clba_version.h
         DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/clba)
 install(EXPORT clba-targets NAMESPACE clba:: DESTINATION ${config_folder})

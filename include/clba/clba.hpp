@@ -1,0 +1,687 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// clba.hpp -- clba.h for C++17: handles that release themselves, exceptions instead of status
+// codes, containers instead of pointer, count and stride. Header-only; everything is inline and
+// calls the C functions of the same name, whose comments in clba.h hold here too. Enumerations and
+// structs are those of clba.h.
+//
+//   errors     Every failure throws clba::Error. An object that was moved from holds NULL, which
+//   the
+//              C functions refuse.
+//   callbacks  What a callback throws stops the solve, passes no C frame, and comes out of
+//              Problem::solve(); the problem then holds the best state found.
+//   copies     Setters and the functions called get_... take views (Rows, CameraRows) of the
+//              caller's memory, whatever its layout. Texts are views of the result's memory.
+#ifndef CLBA_CLBA_HPP
+#define CLBA_CLBA_HPP
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <exception>
+#include <functional>
+#include <iterator>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "clba/clba.h"
+
+namespace clba {
+
+using DeviceInfo = clba_device_info;
+using ProblemInfo = clba_problem_info;
+using Iteration = clba_iteration;
+using Summary = clba_summary;
+using Comparison = clba_comparison;
+
+// ---- Errors -------------------------------------------------------------------------------------
+
+class Error : public std::runtime_error {
+public:
+    Error(clba_status status, const std::string& message)
+        : std::runtime_error(message), status_(status) {}
+    clba_status status() const noexcept { return status_; }  // CLBA_ERROR_...
+
+private:
+    clba_status status_;
+};
+
+// Throws what the thread's last call said, unless it succeeded.
+inline void check(clba_status status) {
+    if (status == CLBA_OK) return;
+    const char* message = clba_last_error();
+    throw Error(status, *message ? message : clba_status_string(status));
+}
+
+namespace detail {
+
+inline void require(bool holds, const std::string& message) {
+    if (!holds) throw Error(CLBA_ERROR_INVALID_ARGUMENT, message);
+}
+
+// A name from one of the C functions that give NULL for an unknown value.
+inline std::string_view name(const char* (*function)(int32_t), int32_t value, const char* what) {
+    const char* text = function(value);
+    require(text != nullptr, "there is no " + std::string(what) + " " + std::to_string(value));
+    return text;
+}
+
+template <class Struct>
+Struct sized() {
+    Struct made{};
+    made.struct_size = static_cast<uint32_t>(sizeof(Struct));
+    return made;
+}
+
+// Of a container without gaps: a pointer to its elements.
+template <class Container, class = decltype(std::size(std::declval<Container&>()))>
+using Data = decltype(std::data(std::declval<Container&>()));
+
+// From a pointer to rows, which are numbers or arrays of `width` numbers: a pointer to numbers.
+template <size_t width, class Value>
+Value* numbers(Value* data, size_t) {
+    return data;
+}
+template <size_t width, class Value>
+Value* numbers(std::array<Value, width>* rows, size_t count) {
+    return count ? rows->data() : nullptr;
+}
+template <size_t width, class Value>
+const Value* numbers(const std::array<Value, width>* rows, size_t count) {
+    return count ? rows->data() : nullptr;
+}
+template <class Container, size_t width>
+using Numbers = decltype(numbers<width>(std::declval<Data<Container>>(), 0));
+
+inline int32_t count32(int64_t count, const char* what) {
+    require(count <= INT32_MAX, std::to_string(count) + " " + what +
+                                    ", but there may be no more than " + std::to_string(INT32_MAX));
+    return static_cast<int32_t>(count);
+}
+
+inline void require_equal(int64_t count, int64_t expected, const char* what, const char* rule) {
+    require(count == expected,
+            std::to_string(count) + " " + what + ", but " + std::to_string(expected) + " " + rule);
+}
+
+}  // namespace detail
+
+// Of the library loaded.
+inline uint32_t version() noexcept {
+    return clba_version();
+}
+
+// Throws unless the library loaded has the interface that this header was compiled with: the same
+// major version and, before 1.0, the same minor version.
+inline void check_version() {
+    const uint32_t loaded = clba_version(), compiled = CLBA_VERSION;
+    const uint32_t interface_of = compiled >= 10000 ? 10000 : 100;
+    if (loaded / interface_of == compiled / interface_of) return;
+    throw Error(CLBA_ERROR_INTERNAL,
+                "the clba library loaded has version " + std::to_string(loaded) +
+                    ", but the program was built for " + std::to_string(compiled) +
+                    "; install the version it was built for, or build it again");
+}
+
+inline std::string_view status_string(clba_status status) noexcept {
+    return clba_status_string(status);
+}
+inline std::string_view camera_model_name(int32_t model) {
+    return detail::name(clba_camera_model_name, model, "camera model");
+}
+inline std::string_view camera_model_param_names(int32_t model) {
+    return detail::name(clba_camera_model_param_names, model, "camera model");
+}
+inline int32_t camera_model_num_params(int32_t model) {
+    const int32_t count = clba_camera_model_num_params(model);
+    detail::require(count >= 0, "there is no camera model " + std::to_string(model));
+    return count;
+}
+inline int32_t num_camera_models() noexcept {
+    return clba_num_camera_models();
+}
+inline std::string_view loss_name(int32_t loss) {
+    return detail::name(clba_loss_name, loss, "loss");
+}
+inline std::string_view linear_solver_name(int32_t linear_solver) {
+    return detail::name(clba_linear_solver_name, linear_solver, "linear solver");
+}
+inline std::string_view preconditioner_name(int32_t preconditioner) {
+    return detail::name(clba_preconditioner_name, preconditioner, "preconditioner");
+}
+inline std::string_view damping_name(int32_t damping) {
+    return detail::name(clba_damping_name, damping, "damping");
+}
+inline std::string_view precision_name(int32_t precision) {
+    return detail::name(clba_precision_name, precision, "precision");
+}
+inline std::string_view jacobian_name(int32_t jacobian) {
+    return detail::name(clba_jacobian_name, jacobian, "jacobian");
+}
+inline std::string_view scene_name(int32_t scene) {
+    return detail::name(clba_scene_name, scene, "scene");
+}
+
+// ---- Arrays -------------------------------------------------------------------------------------
+
+// Rows of `width` values in memory that belongs to somebody else: `const double` for input,
+// `double` for output. Made from
+//   - a container of values without gaps, whose size is a multiple of the width,
+//   - a container of std::array<value, width>,
+//   - a pointer, a count of rows and a stride in bytes (0: no gaps), for columns of larger structs.
+template <class Value, size_t width>
+class Rows {
+public:
+    Rows() = default;  // none
+    Rows(Value* data, int64_t count, size_t stride = 0)
+        : data_(data), count_(count), stride_(stride) {}
+
+    template <
+        class Container,
+        std::enable_if_t<std::is_convertible_v<detail::Numbers<Container, width>, Value*>, int> = 0>
+    Rows(Container&& rows) : data_(detail::numbers<width>(std::data(rows), std::size(rows))) {
+        const size_t size = std::size(rows);
+        constexpr bool has_numbers =
+            std::is_same_v<detail::Numbers<Container, width>, detail::Data<Container>>;
+        detail::require(!has_numbers || size % width == 0,
+                        std::to_string(size) + " numbers, but a row has " + std::to_string(width));
+        count_ = static_cast<int64_t>(has_numbers ? size / width : size);
+    }
+
+    Value* data() const noexcept { return data_; }
+    int64_t count() const noexcept { return count_; }
+    size_t stride() const noexcept { return stride_; }
+
+private:
+    Value* data_ = nullptr;
+    int64_t count_ = 0;
+    size_t stride_ = 0;
+};
+
+// One row a camera, as long as its model has parameters: a container of all rows without gaps,
+// whose size is checked, or a pointer and a stride in bytes.
+template <class Value>
+class CameraRows {
+public:
+    CameraRows() = default;  // none
+    CameraRows(Value* data, size_t stride) : data_(data), stride_(stride), size_(unknown) {}
+    template <class Container,
+              std::enable_if_t<std::is_convertible_v<detail::Data<Container>, Value*>, int> = 0>
+    CameraRows(Container&& values)
+        : data_(std::data(values)), size_(static_cast<int64_t>(std::size(values))) {}
+
+    Value* data() const noexcept { return data_; }
+    size_t stride() const noexcept { return stride_; }
+
+    // size: the number of parameters of all the cameras together.
+    void require_size(int64_t size) const {
+        if (size_ != unknown)
+            detail::require_equal(size_, size, "numbers for the cameras", "are needed");
+    }
+    bool empty() const noexcept { return size_ == 0; }
+
+private:
+    static constexpr int64_t unknown = -1;
+    Value* data_ = nullptr;
+    size_t stride_ = 0;
+    int64_t size_ = 0;
+};
+
+struct Cameras {
+    std::vector<int32_t> models;
+    std::vector<double> params;  // a row a camera, without gaps
+};
+struct Images {
+    std::vector<int32_t> cameras;
+    std::vector<std::array<double, 7>> poses;  // qw qx qy qz tx ty tz
+};
+struct Observations {
+    std::vector<int32_t> images, points;
+    std::vector<std::array<double, 2>> xy;
+};
+
+// ---- Options: the C structs, filled with defaults -----------------------------------------------
+
+struct ContextOptions : clba_context_options {
+    ContextOptions() : clba_context_options() {
+        check(clba_context_options_init(this, sizeof(clba_context_options)));
+    }
+};
+struct SolverOptions : clba_solver_options {
+    SolverOptions() : clba_solver_options() {
+        check(clba_solver_options_init(this, sizeof(clba_solver_options)));
+    }
+};
+struct SceneOptions : clba_scene_options {
+    SceneOptions() : clba_scene_options() {
+        check(clba_scene_options_init(this, sizeof(clba_scene_options)));
+    }
+};
+// What evaluate() is to compute, and where to: pointers left NULL are skipped.
+struct EvaluationRequest : clba_evaluation {
+    EvaluationRequest() : clba_evaluation() {
+        check(clba_evaluation_init(this, sizeof(clba_evaluation)));
+    }
+};
+
+// ---- Handles ------------------------------------------------------------------------------------
+
+namespace detail {
+
+inline void release(clba_context* handle) noexcept {
+    clba_context_release(handle);
+}
+inline void release(clba_problem* handle) noexcept {
+    clba_problem_release(handle);
+}
+inline void release(clba_result* handle) noexcept {
+    clba_result_release(handle);
+}
+
+// Owns one reference.
+template <class Object>
+class Handle {
+public:
+    Handle() noexcept = default;
+    explicit Handle(Object* owned) noexcept : object_(owned) {}
+    Handle(Handle&& other) noexcept : object_(std::exchange(other.object_, nullptr)) {}
+    Handle& operator=(Handle&& other) noexcept {
+        if (this != &other) {
+            release(object_);
+            object_ = std::exchange(other.object_, nullptr);
+        }
+        return *this;
+    }
+    ~Handle() { release(object_); }
+
+    Object* get() const noexcept { return object_; }                       // still owned by this
+    Object* detach() noexcept { return std::exchange(object_, nullptr); }  // now the caller's
+    explicit operator bool() const noexcept { return object_ != nullptr; }
+
+protected:
+    Object* object_ = nullptr;
+};
+
+}  // namespace detail
+
+// All OpenCL devices; where there are none, clba_last_error() says what is missing.
+inline std::vector<DeviceInfo> devices() {
+    int32_t count = 0;
+    check(clba_num_devices(&count));
+    std::vector<DeviceInfo> infos(static_cast<size_t>(count), detail::sized<DeviceInfo>());
+    for (int32_t i = 0; i < count; ++i) check(clba_get_device(i, &infos[static_cast<size_t>(i)]));
+    return infos;
+}
+
+// One device and the kernels built for it; may be shared between threads.
+class Context : public detail::Handle<clba_context> {
+public:
+    using Handle::Handle;  // takes over a handle
+
+    Context() : Context(ContextOptions()) {}  // the best device
+    // An index, or a part of the platform's or device's name.
+    explicit Context(const std::string& device) : Context(for_device(device.c_str())) {}
+    explicit Context(const ContextOptions& options) {
+        check(clba_context_create(&options, &object_));
+    }
+
+    Context share() const {  // a second owner of the same context
+        check(clba_context_retain(object_));
+        return Context(object_);
+    }
+    DeviceInfo device() const {
+        auto info = detail::sized<DeviceInfo>();
+        check(clba_context_get_device(object_, &info));
+        return info;
+    }
+
+private:
+    static ContextOptions for_device(const char* device) {
+        ContextOptions options;
+        options.device = device;
+        return options;
+    }
+};
+
+// What a solve did. An empty one has no rows and empty texts.
+class Result : public detail::Handle<clba_result> {
+public:
+    using Handle::Handle;
+
+    Summary summary() const {
+        auto summary = detail::sized<Summary>();
+        check(clba_result_get_summary(object_, &summary));
+        return summary;
+    }
+    int32_t num_rows() const noexcept { return clba_result_num_rows(object_); }
+    Iteration row(int32_t index) const {
+        auto row = detail::sized<Iteration>();
+        check(clba_result_get_row(object_, index, &row));
+        return row;
+    }
+    std::vector<Iteration> rows() const {
+        std::vector<Iteration> all;
+        all.reserve(static_cast<size_t>(num_rows()));
+        for (int32_t i = 0; i < num_rows(); ++i) all.push_back(row(i));
+        return all;
+    }
+    std::string_view report() const { return clba_result_report(object_); }
+    std::string_view json() const { return clba_result_json(object_); }
+};
+
+enum class Next { go_on, stop };
+using IterationCallback = std::function<Next(const Iteration&)>;
+
+struct Offsets {
+    std::vector<int64_t> poses, intrinsics;  // one an image; one a camera
+};
+
+struct Evaluation {
+    double cost = 0;
+    int64_t num_behind = 0, num_singular = 0;
+    std::vector<double> residuals, gradient, jacobian_images, jacobian_points;
+};
+
+// Images, cameras, points and observations; used by one thread at a time.
+class Problem : public detail::Handle<clba_problem> {
+public:
+    using Handle::Handle;
+
+    Problem() { check(clba_problem_create(&object_)); }  // an empty one
+
+    static Problem read_bal(const std::string& path) {
+        clba_problem* made = nullptr;
+        check(clba_problem_read_bal(path.c_str(), &made));
+        return Problem(made);
+    }
+    void write_bal(const std::string& path) const {
+        check(clba_problem_write_bal(object_, path.c_str()));
+    }
+    void write_ply(const std::string& path) const {
+        check(clba_problem_write_ply(object_, path.c_str()));
+    }
+
+    Problem share() const {  // a second owner of the same problem
+        check(clba_problem_retain(object_));
+        return Problem(object_);
+    }
+
+    ProblemInfo info() const {
+        auto info = detail::sized<ProblemInfo>();
+        check(clba_problem_get_info(object_, &info));
+        return info;
+    }
+
+    // -- Setters replace all rows; where the C function takes a count of 0, so do these: {}
+
+    void set_cameras(Rows<const int32_t, 1> models, CameraRows<const double> params) {
+        int64_t size = 0;
+        for (int64_t i = 0; i < models.count(); ++i)
+            size += camera_model_num_params(value(models, i));
+        params.require_size(size);
+        check(clba_problem_set_cameras(object_, detail::count32(models.count(), "cameras"),
+                                       models.data(), models.stride(), params.data(),
+                                       params.stride()));
+    }
+    void set_images(Rows<const int32_t, 1> cameras, Rows<const double, 7> poses) {
+        detail::require_equal(poses.count(), cameras.count(), "poses", "camera indices");
+        check(clba_problem_set_images(object_, detail::count32(poses.count(), "images"),
+                                      cameras.data(), cameras.stride(), poses.data(),
+                                      poses.stride()));
+    }
+    void set_points(Rows<const double, 3> xyz) {
+        check(clba_problem_set_points(object_, detail::count32(xyz.count(), "points"), xyz.data(),
+                                      xyz.stride()));
+    }
+    void set_observations(Rows<const int32_t, 1> images, Rows<const int32_t, 1> points,
+                          Rows<const double, 2> xy) {
+        detail::require_equal(images.count(), xy.count(), "image indices", "observations");
+        detail::require_equal(points.count(), xy.count(), "point indices", "observations");
+        check(clba_problem_set_observations(object_, xy.count(), images.data(), images.stride(),
+                                            points.data(), points.stride(), xy.data(),
+                                            xy.stride()));
+    }
+    void set_covariances(Rows<const double, 3> covariances) {
+        check(clba_problem_set_covariances(object_, covariances.count(), covariances.data(),
+                                           covariances.stride()));
+    }
+    void set_sigmas(Rows<const double, 1> sigmas) {
+        check(clba_problem_set_sigmas(object_, sigmas.count(), sigmas.data(), sigmas.stride()));
+    }
+    void set_constant_images(Rows<const int32_t, 1> flags) {
+        check(clba_problem_set_constant_images(object_, detail::count32(flags.count(), "images"),
+                                               flags.data(), flags.stride()));
+    }
+    void set_constant_cameras(Rows<const int32_t, 1> flags) {
+        check(clba_problem_set_constant_cameras(object_, detail::count32(flags.count(), "cameras"),
+                                                flags.data(), flags.stride()));
+    }
+    void set_constant_points(Rows<const int32_t, 1> flags) {
+        check(clba_problem_set_constant_points(object_, detail::count32(flags.count(), "points"),
+                                               flags.data(), flags.stride()));
+    }
+    void set_image_uncertainties(Rows<const double, 6> values) {
+        check(clba_problem_set_image_uncertainties(
+            object_, detail::count32(values.count(), "images"), values.data(), values.stride()));
+    }
+    void set_camera_uncertainties(CameraRows<const double> values) {
+        int32_t count = 0;
+        if (!values.empty()) {
+            const std::vector<int32_t> models = camera_models();
+            values.require_size(num_params(models));
+            count = static_cast<int32_t>(models.size());
+        }
+        check(
+            clba_problem_set_camera_uncertainties(object_, count, values.data(), values.stride()));
+    }
+    void set_point_uncertainties(Rows<const double, 3> values) {
+        check(clba_problem_set_point_uncertainties(
+            object_, detail::count32(values.count(), "points"), values.data(), values.stride()));
+    }
+    void set_loss(int32_t loss, double scale = 1) {
+        check(clba_problem_set_loss(object_, loss, scale));
+    }
+
+    // -- Getters: everything, or rows from `first` on into the caller's memory
+
+    Cameras cameras() const {
+        Cameras cameras{camera_models(), {}};
+        cameras.params.resize(static_cast<size_t>(num_params(cameras.models)));
+        check(clba_problem_get_cameras(object_, 0, static_cast<int32_t>(cameras.models.size()),
+                                       nullptr, 0, cameras.params.data(), 0));
+        return cameras;
+    }
+    Images images() const {
+        const auto count = static_cast<size_t>(info().num_images);
+        Images images{std::vector<int32_t>(count), std::vector<std::array<double, 7>>(count)};
+        get_images(0, images.cameras, images.poses);
+        return images;
+    }
+    std::vector<std::array<double, 3>> centers() const {
+        std::vector<std::array<double, 3>> centers(static_cast<size_t>(info().num_images));
+        get_centers(0, centers);
+        return centers;
+    }
+    std::vector<std::array<double, 3>> points() const {
+        std::vector<std::array<double, 3>> xyz(static_cast<size_t>(info().num_points));
+        get_points(0, xyz);
+        return xyz;
+    }
+    Observations observations() const {
+        const auto count = static_cast<size_t>(info().num_observations);
+        Observations observations{std::vector<int32_t>(count), std::vector<int32_t>(count),
+                                  std::vector<std::array<double, 2>>(count)};
+        get_observations(0, observations.images, observations.points, observations.xy);
+        return observations;
+    }
+
+    void get_cameras(int32_t first, Rows<int32_t, 1> models, CameraRows<double> params) const {
+        std::vector<int32_t> known(static_cast<size_t>(models.count()));
+        const int32_t count = detail::count32(models.count(), "cameras");
+        check(clba_problem_get_cameras(object_, first, count, known.data(), 0, nullptr, 0));
+        params.require_size(num_params(known));
+        check(clba_problem_get_cameras(object_, first, count, models.data(), models.stride(),
+                                       params.data(), params.stride()));
+    }
+    void get_images(int32_t first, Rows<int32_t, 1> cameras, Rows<double, 7> poses) const {
+        detail::require_equal(poses.count(), cameras.count(), "poses", "camera indices");
+        check(clba_problem_get_images(object_, first, detail::count32(poses.count(), "images"),
+                                      cameras.data(), cameras.stride(), poses.data(),
+                                      poses.stride()));
+    }
+    void get_centers(int32_t first, Rows<double, 3> centers) const {
+        check(clba_problem_get_centers(object_, first, detail::count32(centers.count(), "images"),
+                                       centers.data(), centers.stride()));
+    }
+    void get_points(int32_t first, Rows<double, 3> xyz) const {
+        check(clba_problem_get_points(object_, first, detail::count32(xyz.count(), "points"),
+                                      xyz.data(), xyz.stride()));
+    }
+    void get_observations(int64_t first, Rows<int32_t, 1> images, Rows<int32_t, 1> points,
+                          Rows<double, 2> xy) const {
+        detail::require_equal(images.count(), xy.count(), "image indices", "observations");
+        detail::require_equal(points.count(), xy.count(), "point indices", "observations");
+        check(clba_problem_get_observations(object_, first, xy.count(), images.data(),
+                                            images.stride(), points.data(), points.stride(),
+                                            xy.data(), xy.stride()));
+    }
+
+    // -- Solving
+
+    // on_iteration, if there is one, takes the place of the options' C callback.
+    Result solve(const Context& context, const SolverOptions& options = {},
+                 const IterationCallback& on_iteration = {}) {
+        clba_solver_options given = options;
+        Call call{on_iteration, nullptr};
+        if (on_iteration) {
+            given.on_iteration = &Call::enter;
+            given.user_data = &call;
+        }
+        clba_result* made = nullptr;
+        const clba_status status = clba_problem_solve(object_, context.get(), &given, &made);
+        Result result(made);
+        if (call.thrown) std::rethrow_exception(call.thrown);
+        check(status);
+        return result;
+    }
+
+    // -- Evaluating
+
+    void evaluate(const Context& context, clba_evaluation& evaluation) {
+        check(clba_problem_evaluate(object_, context.get(), &evaluation));
+    }
+    // With residuals, gradient and Jacobian.
+    Evaluation evaluate(const Context& context, int32_t precision = CLBA_PRECISION_DOUBLE,
+                        bool apply_loss = true) {
+        const ProblemInfo sizes = info();
+        const auto rows = 2 * static_cast<size_t>(sizes.num_observations);
+        const auto columns = static_cast<size_t>(sizes.num_parameters_per_image_block);
+        Evaluation evaluation;
+        evaluation.residuals.resize(rows);
+        evaluation.gradient.resize(static_cast<size_t>(sizes.num_parameters));
+        evaluation.jacobian_images.resize(rows * columns);
+        evaluation.jacobian_points.resize(rows * 3);
+        EvaluationRequest request;
+        request.precision = precision;
+        request.apply_loss = apply_loss;
+        request.residuals = evaluation.residuals.data();
+        request.gradient = evaluation.gradient.data();
+        request.jacobian_images = evaluation.jacobian_images.data();
+        request.jacobian_points = evaluation.jacobian_points.data();
+        evaluate(context, request);
+        evaluation.cost = request.cost;
+        evaluation.num_behind = request.num_behind;
+        evaluation.num_singular = request.num_singular;
+        return evaluation;
+    }
+    Offsets offsets() const {
+        const ProblemInfo sizes = info();
+        Offsets offsets{std::vector<int64_t>(static_cast<size_t>(sizes.num_images)),
+                        std::vector<int64_t>(static_cast<size_t>(sizes.num_cameras))};
+        check(clba_problem_get_offsets(object_, offsets.poses.data(), offsets.intrinsics.data()));
+        return offsets;
+    }
+    // product: CLBA_PRODUCT_...; y gets the size of the result and keeps its memory if it can.
+    void multiply(const Context& context, int32_t product, const std::vector<double>& x,
+                  std::vector<double>& y, int32_t precision = CLBA_PRECISION_DOUBLE,
+                  double lambda = 0) {
+        const ProblemInfo sizes = info();
+        const int64_t rows = 2 * sizes.num_observations, columns = sizes.num_parameters;
+        const bool takes_rows = product == CLBA_PRODUCT_JTY;
+        const bool gives_rows = product == CLBA_PRODUCT_JX;
+        detail::require_equal(static_cast<int64_t>(x.size()), takes_rows ? rows : columns,
+                              "numbers in x", "are needed");
+        detail::require(&x != &y, "x and y are one vector, but must be two");
+        y.resize(static_cast<size_t>(gives_rows ? rows : columns));
+        check(clba_problem_multiply(object_, context.get(), product, precision, lambda, x.data(),
+                                    y.data()));
+    }
+    void apply_step(Rows<const double, 1> step) {
+        detail::require_equal(step.count(), info().num_parameters, "numbers in the step",
+                              "are needed");
+        detail::require(step.stride() == 0 || step.stride() == sizeof(double),
+                        "the step has gaps, but must not have any");
+        check(clba_problem_apply_step(object_, step.data()));
+    }
+
+private:
+    struct Call {
+        const IterationCallback& callback;
+        std::exception_ptr thrown;
+
+        static int32_t enter(const clba_iteration* row, void* user_data) noexcept {
+            Call& call = *static_cast<Call*>(user_data);
+            try {
+                return call.callback(*row) == Next::stop;
+            } catch (...) {
+                call.thrown = std::current_exception();
+                return 1;
+            }
+        }
+    };
+
+    static int32_t value(Rows<const int32_t, 1> rows, int64_t i) {
+        const size_t stride = rows.stride() ? rows.stride() : sizeof(int32_t);
+        int32_t value;
+        std::memcpy(&value,
+                    reinterpret_cast<const char*>(rows.data()) + static_cast<size_t>(i) * stride,
+                    sizeof value);
+        return value;
+    }
+    static int64_t num_params(const std::vector<int32_t>& models) {
+        int64_t sum = 0;
+        for (const int32_t model : models) sum += camera_model_num_params(model);
+        return sum;
+    }
+    std::vector<int32_t> camera_models() const {
+        std::vector<int32_t> models(static_cast<size_t>(info().num_cameras));
+        check(clba_problem_get_cameras(object_, 0, static_cast<int32_t>(models.size()),
+                                       models.data(), 0, nullptr, 0));
+        return models;
+    }
+};
+
+// ---- Comparing and generating -------------------------------------------------------------------
+
+// b is aligned to a.
+inline Comparison compare(const Problem& a, const Problem& b) {
+    auto comparison = detail::sized<Comparison>();
+    check(clba_problem_compare(a.get(), b.get(), &comparison));
+    return comparison;
+}
+
+struct Scene {
+    Problem start, truth;
+};
+inline Scene generate(const SceneOptions& options = {}) {
+    clba_problem *start = nullptr, *truth = nullptr;
+    check(clba_problem_generate(&options, &start, &truth));
+    return {Problem(start), Problem(truth)};
+}
+
+}  // namespace clba
+#endif  // CLBA_CLBA_HPP
