@@ -67,6 +67,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
             const int n = run_length(first, run_slots[run + 1]);
             global const ushort* point = slot_point + first;
             global const WIDE* observed = xy + 2 * (long)first;
+            fetch_next_run(observed + 2 * (long)n, n, 2 * (int)sizeof(WIDE));
 #if WHITENED
             global const WIDE* factor = whitening + 3 * (long)first;
 #endif

@@ -11,12 +11,7 @@ typedef JOIN(WIDE, 16) wide16;
 #define BLOCKS_PER_GROUP 16
 
 // Records lie where the tiles put them: their addresses are known long before they are needed.
-#if LANE_LOOP && defined(__clang__) && !defined(NO_VECTORIZE)
 #define PAIRS_AHEAD 6
-static inline void fetch(global const char* record) {
-    for (int line = 0; line < RECORD_BYTES; line += 64) __builtin_prefetch(record + line);
-}
-#endif
 
 // values[block_offset ...] += the sum of each of the blocks: rows x columns, row-major.
 // Writers: one block each.
@@ -42,11 +37,9 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict blocks,
             global const REAL* f_b = (global const REAL*)record_b;
             global const WIDE* p = (global const WIDE*)(record_a + POINT_OFFSET);
             global const WIDE* p_b = (global const WIDE*)(record_b + POINT_OFFSET);
-#ifdef PAIRS_AHEAD
             const int2 ahead = pairs[min(pair + PAIRS_AHEAD, pairs_end - 1)];
-            fetch(records + RECORD_BYTES * (long)ahead.x);
-            fetch(records + RECORD_BYTES * (long)ahead.y);
-#endif
+            fetch(records + RECORD_BYTES * (long)ahead.x, RECORD_BYTES);
+            fetch(records + RECORD_BYTES * (long)ahead.y, RECORD_BYTES);
             const WIDE same = a == b ? 1 : 0;
             const WIDE m00 = same - (p[0] * p_b[0] + p[1] * p_b[1] + p[2] * p_b[2]);
             const WIDE m01 = -(p[0] * p_b[3] + p[1] * p_b[4] + p[2] * p_b[5]);
