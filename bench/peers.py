@@ -66,7 +66,7 @@ REAL = [
 # Scene, images, observations per image; five observations a point.
 GENERATED = [
     ("hall", 100, 1000), ("hall", 356, 2800), ("hall", 1000, 5000),
-    ("street", 500, 200), ("street", 2000, 500), ("street", 10000, 500),
+    ("street", 500, 200), ("street", 2000, 400), ("street", 10000, 500),
     ("landmark", 200, 500), ("landmark", 1000, 1000), ("landmark", 2500, 2001),
 ]
 OBSERVATIONS_PER_POINT = 5
@@ -286,12 +286,15 @@ def observations_in(path):
 # ---- Reports -------------------------------------------------------------------------------------
 
 def best_cost(problem):
-    """The lowest that any solver found in fp64, from the common start or from the truth."""
+    """The lowest that any solver found in fp64, from the common start or, unless that is another
+    valley than all of them went into, from the truth."""
     costs = [final_cost(outcome) for solver, outcomes in problem["runs"].items()
              if sets_best(solver) for outcome in outcomes]
-    if problem["from_truth"]:
-        costs.append(final_cost(problem["from_truth"]))
-    return min((cost for cost in costs if cost is not None), default=None)
+    lowest = min((cost for cost in costs if cost is not None), default=None)
+    truth = final_cost(problem["from_truth"]) if problem["from_truth"] else None
+    if truth is None or lowest is None:
+        return lowest if truth is None else truth
+    return min(truth, lowest) if lowest <= (1 + TAUS[0]) * truth else lowest
 
 
 def times_of(problem, solver):
@@ -319,7 +322,9 @@ def spread(problem, solver, tau):
 
 def ratios(problem, solver, solvers):
     """A solver's time to each tau divided by the fastest peer's. "only": no peer reached it; "not":
-    the solver did not; "none": neither."""
+    the solver did not; "none": neither; "unrun": the solver was not run."""
+    if not problem["runs"].get(solver):
+        return ["unrun"] * len(TAUS)
     mine = times_of(problem, solver)
     peers = [times_of(problem, other) for other in solvers if not is_clba(other)]
     result = []
@@ -334,7 +339,8 @@ def ratios(problem, solver, solvers):
 
 
 def ratio_cell(value):
-    words = {"only": "no peer reached it", "not": "**not reached**", "none": "none reached it"}
+    words = {"only": "no peer reached it", "not": "**not reached**", "none": "none reached it",
+             "unrun": "not run"}
     return words[value] if value in words else f"{value:.2f}"
 
 
@@ -344,7 +350,8 @@ def problem_table(name, problem, solvers):
     lines = [f"### {name}", ""]
     if info:
         lines += [f"{info['images']} images, {info['points']} points, {info['observations']} "
-                  f"observations; lowest cost found in fp64: {cell(best, '{:.10g}', 'none')}.", ""]
+                  f"observations; lowest cost found in fp64: {cell(best, '{:.10g}', 'none')}; "
+                  f"runs: {max(map(len, problem['runs'].values()), default=0)}.", ""]
     lines += ["| solver | " + " | ".join(f"{tau:g}" for tau in TAUS)
               + " | spread | final cost / best - 1 | total s | iterations | inner iterations "
                 "| memory MB | ended by |",
@@ -414,10 +421,10 @@ def report(raw, solvers, arguments):
     lines = ["# clba and its peers", "",
              "Made by `bench/peers.py`. Seconds until cost <= (1 + tau) best, where best is the lowest cost "
              "that any of the solvers found on that problem in fp64 (on a generated scene also from its "
-             f"truth, by `{TRUTH_SOLVER}`). The clock starts when the problem's "
+             f"truth, by `{TRUTH_SOLVER}`, unless all ended more than 10 % above that). The clock starts when the problem's "
              "arrays are in host memory: it includes making the solver's problem, ordering and upload, but "
-             "not reading the file, nor compiling kernels, whose cost is listed under Cold start. Medians of "
-             f"{arguments.repeat} run{'s' if arguments.repeat > 1 else ''}, solvers interleaved; spread is "
+             "not reading the file, nor compiling kernels, whose cost is listed under Cold start. Medians of the "
+             "runs of each problem, solvers interleaved; spread is "
              "(max - min) / median, the largest of the four taus. `--`: not reached. Memory is the largest "
              "resident set from the start of the clock (on a CPU device this holds the device's buffers).",
              "", SETTINGS.format(iterations=arguments.max_iterations, seconds=arguments.seconds,

@@ -60,7 +60,7 @@ double AutoSolver::break_even_iterations() {
 
 LinearSolution AutoSolver::solve(double lambda) {
     ++num_steps_;
-    if (!explicit_) {
+    if (!explicit_ || lambda > explicit_lambda_) {
         last_ = &pcg_;
         const LinearSolution solution = pcg_.solve(lambda);
         if (solution.num_iterations <= few_iterations) return solution;
@@ -69,8 +69,9 @@ LinearSolution AutoSolver::solve(double lambda) {
             pcg_.limit_iterations(
                 static_cast<int>(std::min<double>(max_iterations_, std::ceil(*break_even_))));
         }
-        if (solution.num_iterations < *break_even_ || !make_explicit(solution.num_iterations))
-            return solution;
+        if (solution.num_iterations < *break_even_) return solution;
+        if (!explicit_ && !make_explicit(solution.num_iterations)) return solution;
+        explicit_lambda_ = lambda;
     }
     last_ = explicit_.get();
     return explicit_->solve(lambda);
@@ -88,7 +89,7 @@ bool AutoSolver::make_explicit(int num_iterations) {
     }
     reason_ = text("step ", num_steps_, " took ", num_iterations,
                    " or more iterations of conjugate gradients; an exact step costs as much as ",
-                   std::llround(*break_even_));
+                   std::llround(*break_even_), ", and is taken where lambda is as small");
     return true;
 }
 
@@ -97,7 +98,7 @@ void AutoSolver::get_step(Vector& full) {
 }
 
 LinearSolverKind AutoSolver::kind() const {
-    return last_->kind();
+    return explicit_ ? explicit_->kind() : pcg_.kind();
 }
 
 }  // namespace clba

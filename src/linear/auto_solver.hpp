@@ -10,9 +10,9 @@
 namespace clba {
 
 // pcg_schur, until a step takes more iterations than forming and factoring the Schur complement
-// would cost; explicit_schur from then on. Exact steps of a path-like scene replace hundreds of
-// iterations, while most scenes need a few. Decides by counts alone, so that equal input gives
-// equal bits.
+// would cost; explicit_schur from then on, for steps of so small a lambda: the larger it is, the
+// fewer iterations a step takes. Exact steps of a path-like scene replace hundreds of iterations,
+// while most scenes need a few. Decides by counts alone, so that equal input gives equal bits.
 class AutoSolver : public LinearSolver {
 public:
     AutoSolver(const LinearSolverOptions& options, const Problem& problem,
@@ -34,6 +34,7 @@ private:
     LinearSolver* last_ = &pcg_;               // that took a step
     std::optional<double> break_even_;         // iterations that cost as much as an explicit step
     std::optional<SchurStructure> structure_;  // found on the way to it
+    double explicit_lambda_ = 0;               // the largest for which pcg_schur took too long
     int num_steps_ = 0;
     std::string reason_;
 };
