@@ -25,8 +25,8 @@ struct PcgResult {
     int num_iterations = 0;
 };
 
-// Preconditioned conjugate gradients. The device decides where they end: the host looks whether they
-// have once an iteration, or less often where a look costs more than an iteration.
+// Preconditioned conjugate gradients. The device decides where they end: the host looks whether
+// they have once an iteration, or less often where a look costs more than an iteration.
 class Pcg {
 public:
     // p and zq: working space, vectors with the parts of the system's.
