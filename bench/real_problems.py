@@ -38,13 +38,14 @@ PROBLEMS = [
 # Gross outliers: a robust loss, judged by the median residual.
 ROBUST = "real/fakepile-47"
 SOLVERS = [
+    ("auto", None),
     ("pcg_schur", "schur_jacobi"),
     ("pcg_schur", "block_jacobi"),
     ("pcg_hessian", "block_jacobi"),
     ("direct_schur", None),
 ]
 PRECISIONS = ["mixed", "double"]
-MAX_ITERATIONS = {"pcg_schur": 50, "pcg_hessian": 50, "direct_schur": 200}
+MAX_ITERATIONS = {"auto": 50, "pcg_schur": 50, "pcg_hessian": 50, "direct_schur": 200}
 
 
 def solve(clba, path, solver, preconditioner, precision, extra=()):
@@ -127,14 +128,13 @@ Made by `bench/real_problems.py build/release/src/cli/clba` on {device}.
 The cost is 1/2 sum |r|^2 without a loss, all nine parameters of each image free, evaluated by the
 serial fp64 reference. Excess is against Ceres (sparse_schur, fp64, up to 200 iterations). A solve is
 held to be right if it ends within 1e-3 of Ceres or below it, within 1e-2 where Ceres had not
-converged. At most 50 iterations (the default) by conjugate gradients and 200 by direct_schur; all else
+converged. At most 50 iterations (the default), and 200 by direct_schur; all else
 at its defaults. Seconds are of one run on a shared machine with two cores, without compiling kernels:
 read them as orders of size.
 
-The default, pcg_schur with schur_jacobi in mixed, is within on every problem. Where another solver is
-not, it met its limit on iterations on an ill-conditioned path of a vehicle: exact steps (direct_schur)
-converge more slowly there than inexact ones, and block_jacobi meets the limit of 500 iterations of
-conjugate gradients in nearly every step.
+The default is auto in mixed. Solvers that are not within met a limit on iterations on an ill-conditioned
+path of a vehicle: exact steps (direct_schur) converge more slowly there than inexact ones, and
+block_jacobi meets the limit of 500 iterations of conjugate gradients in nearly every step.
 
 | problem | images / points / observations | start | Ceres |
 |---|---|---|---|
