@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""scikit-build-core, but a source distribution gets the C sources, which are outside this folder."""
+"""scikit-build-core, but a source distribution gets the C sources from outside this folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scikit_build_core.build import build_sdist as build_sdist_of_folder
 
 _FOLDER = pathlib.Path(__file__).resolve().parent
 _NATIVE = _FOLDER / "native"
-_PARTS = ("CMakeLists.txt", "LICENSE", "README.md", "cmake", "include", "kernels", "src")
+_PARTS = ("CMakeLists.txt", "LICENSE", "cmake", "include", "kernels", "src")
 
 
 def build_sdist(
@@ -29,7 +29,6 @@ def build_sdist(
             else:
                 _NATIVE.mkdir(exist_ok=True)
                 shutil.copy2(repository / part, _NATIVE / part)
-        # A source distribution carries the licence at its top too.
         return build_sdist_of_folder(sdist_directory, config_settings)
     finally:
         shutil.rmtree(_NATIVE, ignore_errors=True)

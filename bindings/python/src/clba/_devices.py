@@ -153,7 +153,7 @@ class Context:
 def _package_remedy() -> str:
     if devices():
         return ""
-    return "; or, for the CPU alone and without root: pip install 'clba[intel]'"
+    return "; for x86 CPUs also: pip install intel-opencl-rt intel-cmplr-lib-rt"
 
 
 _contexts: dict[str | None, Context] = {}

@@ -12,6 +12,7 @@ import ctypes
 import importlib.metadata
 import os
 import pathlib
+import shutil
 import sys
 import tempfile
 import threading
@@ -50,6 +51,8 @@ def _start_with_packages() -> None:
         # Having been loaded, it is what the name libOpenCL.so.1 means in this process.
         _can_load(str(intel["libOpenCL.so.1"]))
     pocl = _files("pocl-binary-distribution", ("libpocl-*.so",))
+    if shutil.which("ld") is None:
+        pocl = {}  # it links the kernels that it builds by ld, and ends the process without it
     drivers = [path for name, path in (*intel.items(), *pocl.items()) if "OpenCL" not in name]
     is_users_choice = "OCL_ICD_VENDORS" in os.environ or "OCL_ICD_FILENAMES" in os.environ
     if drivers and not is_users_choice:

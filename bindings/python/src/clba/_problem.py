@@ -751,10 +751,11 @@ def _info(handle: Any) -> _ffi.ProblemInfo:
 
 def _camera_rows(camera_models: str | Sequence[str], camera_params: Any) -> tuple[Int32s, Doubles]:
     """Models and rows of parameters, padded to equal length if their models differ."""
+    rows = camera_params if isinstance(camera_params, np.ndarray) else _padded(camera_params)
     if isinstance(camera_models, str):
-        if np.ndim(camera_params) == 1 and not isinstance(camera_params[0], Sequence):
-            camera_params = np.asarray(camera_params)[None, :]
-        camera_models = [camera_models] * len(camera_params)
+        if rows.ndim == 1:
+            rows = rows[None, :]
+        camera_models = [camera_models] * len(rows)
     models = np.array(
         [
             _names.value_of(_names.CAMERA_MODELS, name, f"camera_models[{i}]")
@@ -762,15 +763,20 @@ def _camera_rows(camera_models: str | Sequence[str], camera_params: Any) -> tupl
         ],
         np.int32,
     )
-    if not isinstance(camera_params, np.ndarray):
-        rows = [np.atleast_1d(np.asarray(row)) for row in camera_params]
-        if len({len(row) for row in rows}) > 1:
-            most = max(len(row) for row in rows)
-            padding = [np.full(most - len(row), np.nan) for row in rows]
-            camera_params = [np.append(row, pad) for row, pad in zip(rows, padding, strict=True)]
-    params = _arrays.doubles(camera_params, (len(models), None), "camera_params")
+    params = _arrays.doubles(rows, (len(models), None), "camera_params")
     _check_num_params(models, params)
     return models, params
+
+
+def _padded(rows: Any) -> npt.NDArray[Any]:
+    """An array of rows that may differ in length."""
+    if not isinstance(rows, Sequence):
+        return np.asarray(rows)
+    lengths = {len(row) if np.ndim(row) == 1 else 0 for row in rows}
+    if len(lengths) > 1:
+        most = max(lengths)
+        rows = [np.append(row, np.full(most - np.size(row), np.nan)) for row in rows]
+    return np.asarray(rows) if lengths else np.empty((0, 0))
 
 
 def _check_num_params(models: Int32s, params: Doubles) -> None:
