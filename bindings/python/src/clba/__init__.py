@@ -8,6 +8,7 @@ summary = clba.solve(problem)
 print(summary.report())
 """
 
+from clba import plot
 from clba._devices import Context, Device, devices
 from clba._errors import (
     DeviceError,
@@ -49,5 +50,6 @@ __all__ = [
     "Summary",
     "__version__",
     "devices",
+    "plot",
     "solve",
 ]

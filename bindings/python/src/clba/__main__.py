@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 import clba
-from clba import _names
+from clba import _names, plot
 
 # Those of the clba command.
 EXIT_OK, EXIT_NOT_SOLVED, EXIT_FILE, EXIT_NO_DEVICE, EXIT_DEVICE = 0, 3, 4, 5, 6
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(error, EXIT_FILE)
     except (clba.NoDeviceError, clba.NoPluginError) as error:
         return _fail(error, EXIT_NO_DEVICE)
-    except clba.InvalidArgumentError as error:
+    except (clba.InvalidArgumentError, ImportError) as error:
         return _fail(error, 2)
     except clba.Error as error:
         return _fail(error, EXIT_DEVICE)
@@ -66,6 +66,7 @@ def _add_solve(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--ply", metavar="FILE", help="points and camera centres")
     parser.add_argument("--json", metavar="FILE", help="the summary and every iteration")
+    parser.add_argument("--report", metavar="FILE", help="a page of HTML with plots")
     parser.add_argument("--device", help="index, or part of the platform's or device's name")
     parser.add_argument("--linear-solver", choices=_names.LINEAR_SOLVERS, default="auto")
     parser.add_argument("--preconditioner", choices=_names.PRECONDITIONERS, default="default")
@@ -80,13 +81,16 @@ def _add_solve(parser: argparse.ArgumentParser) -> None:
 
 
 def _solve(parsed: argparse.Namespace) -> int:
-    for name in (parsed.output, parsed.ply, parsed.json):
+    for name in (parsed.output, parsed.ply, parsed.json, parsed.report):
         if name is not None and not pathlib.Path(name).absolute().parent.is_dir():
             raise clba.FileError(f"{name}: its folder does not exist; make it first")
+    if parsed.report is not None:
+        plot._drawn_by("plotly")
     problem = clba.Problem.from_bal(parsed.file)
     if problem.num_observations == 0:
         raise clba.FormatError(f"{parsed.file}: has no observations; nothing to solve")
     problem.set_loss(parsed.loss, parsed.loss_scale)
+    before = _state(problem, parsed)
     code = EXIT_OK
     try:
         clba.solve(
@@ -106,20 +110,36 @@ def _solve(parsed: argparse.Namespace) -> int:
     summary = problem.summary
     if summary is None:
         return code  # interrupted before the solve began
-    _write(problem, summary, parsed)
+    _write(problem, summary, before, parsed)
     if summary.termination == "failure":
         print(f"clba: error: {parsed.file}: not solved: {summary.message}", file=sys.stderr)
         code = EXIT_NOT_SOLVED
     return code
 
 
-def _write(problem: clba.Problem, summary: clba.Summary, parsed: argparse.Namespace) -> None:
+def _state(problem: clba.Problem, parsed: argparse.Namespace) -> plot.State | None:
+    """For the report, if one is asked for."""
+    if parsed.report is None:
+        return None
+    return plot.State.of(problem, device=parsed.device)
+
+
+def _write(
+    problem: clba.Problem,
+    summary: clba.Summary,
+    before: plot.State | None,
+    parsed: argparse.Namespace,
+) -> None:
     if parsed.output is not None:
         problem.to_bal(parsed.output)
     if parsed.ply is not None:
         problem.to_ply(parsed.ply)
     if parsed.json is not None:
         pathlib.Path(parsed.json).write_text(f"{summary.json()}\n", encoding="utf-8")
+    after = _state(problem, parsed)
+    if after is not None:
+        title = pathlib.Path(parsed.file).name
+        plot.report(parsed.report, summary, after, before, title=title)
     if not parsed.quiet:
         print(summary.report())
 
