@@ -670,6 +670,22 @@ TEST_F(Evaluating, GradientIsThatOfTheCost) {
     EXPECT_NEAR(slope, expected, 1e-6 * std::abs(expected) + 1e-12 * evaluation.cost / h);
 }
 
+TEST_F(Evaluating, LeavesTheLossOut) {
+    const double with_loss = evaluation.cost;
+    evaluation.apply_loss = 0;
+    ASSERT_OK(clba_problem_evaluate(problem.get(), context.get(), &evaluation));
+    const std::vector<double> plain = residuals, plain_gradient = gradient;
+    const double cost = evaluation.cost;
+    EXPECT_GT(cost, 1.1 * with_loss);
+    EXPECT_NEAR(cost, std::inner_product(plain.begin(), plain.end(), plain.begin(), 0.0) / 2,
+                1e-12 * cost);
+    ASSERT_OK(clba_problem_set_loss(problem.get(), CLBA_LOSS_NONE, 1));
+    evaluate(CLBA_PRECISION_DOUBLE);
+    EXPECT_EQ(evaluation.cost, cost);
+    EXPECT_EQ(residuals, plain);
+    EXPECT_EQ(gradient, plain_gradient);
+}
+
 TEST_F(Evaluating, MixedDiffersFromDoubleByRounding) {
     const std::vector<double> exact = of_images, exact_points = of_points, exact_g = gradient,
                               exact_r = residuals;

@@ -40,7 +40,8 @@ class ReadmeTest(unittest.TestCase):
                        env={**os.environ, "PATH": path})
 
     def test_links_lead_to_files(self):
-        for page in [SOURCE / "README.md", *SOURCE.glob("docs/*.md")]:
+        for page in [SOURCE / "README.md", *SOURCE.glob("docs/*.md"),
+                     *SOURCE.glob("bindings/*/README.md")]:
             text = page.read_text(encoding="utf-8")
             for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text):
                 self.assertTrue((page.parent / target).exists(), f"{page.name}: {target}")

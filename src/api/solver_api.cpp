@@ -274,7 +274,8 @@ void download_rows(const DeviceProblem& device, const std::vector<Buffer>& slots
 
 // The caller's arrays are written last, when nothing can fail any more.
 void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& request) {
-    Evaluator evaluator(device, problem);
+    const Loss loss = request.apply_loss ? problem.loss : Loss();
+    Evaluator evaluator(device, loss);
     std::vector<Buffer> residuals;
     if (request.residuals)
         residuals = device.make_slot_rows(Jacobian::num_product_rows,
@@ -294,7 +295,7 @@ void evaluate(const Problem& problem, DeviceProblem& device, clba_evaluation& re
     const bool wants_jacobian = request.jacobian_images || request.jacobian_points;
     reference::Jacobian jacobian;
     if (request.gradient || wants_jacobian) {
-        NormalEquations equations(device, DampingOptions(), JacobianForm::stored, problem.loss);
+        NormalEquations equations(device, DampingOptions(), JacobianForm::stored, loss);
         if (request.gradient) equations.keep_wide_gradient();
         evaluator.linearize(equations);
         if (request.gradient) {

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment on OpenCL devices.
+
+import clba
+
+problem = clba.Problem.from_bal("problem.txt.bz2")
+summary = clba.solve(problem)
+print(summary.report())
+"""
+
+from clba import plot
+from clba._devices import Context, Device, devices
+from clba._errors import (
+    DeviceError,
+    Error,
+    FileError,
+    FormatError,
+    InternalError,
+    InvalidArgumentError,
+    KernelBuildError,
+    NoDeviceError,
+    NoPluginError,
+    OutOfMemoryError,
+)
+from clba._evaluation import Evaluation
+from clba._names import PARAM_NAMES
+from clba._problem import Comparison, Problem
+from clba._solve import solve
+from clba._summary import Iteration, Summary
+from clba._version import __version__
+
+__all__ = [
+    "PARAM_NAMES",
+    "Comparison",
+    "Context",
+    "Device",
+    "DeviceError",
+    "Error",
+    "Evaluation",
+    "FileError",
+    "FormatError",
+    "InternalError",
+    "InvalidArgumentError",
+    "Iteration",
+    "KernelBuildError",
+    "NoDeviceError",
+    "NoPluginError",
+    "OutOfMemoryError",
+    "Problem",
+    "Summary",
+    "__version__",
+    "devices",
+    "plot",
+    "solve",
+]

@@ -1,0 +1,896 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bundle-adjustment problem: cameras, images, points and observations."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import threading
+import weakref
+from collections.abc import Iterator, Sequence
+from ctypes import byref, c_double, c_int32, c_int64
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clba import _arrays, _evaluation, _ffi, _names
+from clba._arrays import Doubles, Int32s, pointer, stride
+from clba._devices import Context, context_of
+from clba._evaluation import Evaluation
+from clba._ffi import check, lib
+from clba._summary import Summary
+
+if TYPE_CHECKING:
+    import pycolmap
+
+_NO_INTS = ctypes.POINTER(c_int32)()
+_NO_DOUBLES = ctypes.POINTER(c_double)()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is left between two problems after a similarity alignment of their camera centres.
+
+    Attributes:
+        scale: of the similarity that takes the other problem to this one.
+        max_center_distance, median_center_distance: of camera centres, in units of this problem.
+        max_point_distance, median_point_distance: of points, in the same units.
+        extent: root mean square distance of this problem's centres from their mean.
+    """
+
+    scale: float
+    max_center_distance: float
+    median_center_distance: float
+    max_point_distance: float
+    median_point_distance: float
+    extent: float
+
+
+class Problem:
+    """A bundle-adjustment problem, made by one of the ``from_`` functions or ``generate``.
+
+    Terms are COLMAP's: a camera is a set of intrinsics with a model, an image is a pose that refers
+    to a camera, and a pose takes world to camera coordinates. Arrays that come out are copies.
+
+    One thread uses a problem at a time: other threads wait, or, while it is solved, get a
+    RuntimeError. A closed problem raises ValueError.
+    """
+
+    def __init__(self) -> None:
+        handle = ctypes.POINTER(_ffi.ProblemHandle)()
+        check(lib.clba_problem_create(byref(handle)))
+        self._adopt(handle)
+
+    def _adopt(self, handle: Any) -> None:
+        self._handle = handle
+        self._release = weakref.finalize(self, lib.clba_problem_release, handle)
+        self._lock = threading.RLock()
+        self._is_being_solved = False
+        self._summary: Summary | None = None
+        # Of the reconstruction that the problem was made from: which rows are which of its parts.
+        self._colmap_ids: tuple[list[int], list[int], list[int]] | None = None
+
+    @classmethod
+    def _of(cls, handle: Any) -> Problem:
+        problem = cls.__new__(cls)
+        problem._adopt(handle)
+        return problem
+
+    # ---- Making one ----------------------------------------------------------------------------
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        camera_models: str | Sequence[str],
+        camera_params: npt.ArrayLike | Sequence[Sequence[float]],
+        poses: npt.ArrayLike,
+        points: npt.ArrayLike,
+        image_indices: npt.ArrayLike,
+        point_indices: npt.ArrayLike,
+        pixels: npt.ArrayLike,
+        camera_indices: npt.ArrayLike | None = None,
+        sigmas: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+    ) -> Problem:
+        """A problem from numpy arrays.
+
+        Arrays of float64 and int32 are read where they lie, whatever the distance between their
+        rows; others are converted.
+
+        Args:
+            camera_models: "snavely", "simple_pinhole", "pinhole", "simple_radial", "radial" or
+                "opencv"; one name for all cameras or one a camera.
+            camera_params: (num_cameras, k), in COLMAP's order of the model's parameters (see
+                ``clba.PARAM_NAMES``). If models differ, rows may differ in length, or are padded.
+            poses: (num_images, 7), camera from world: qw, qx, qy, qz, tx, ty, tz. Quaternions are
+                normalised.
+            points: (num_points, 3), world coordinates.
+            image_indices, point_indices: (num_observations,), which image saw which point.
+            pixels: (num_observations, 2), where: x to the right, y down, in the frame of the
+                principal point (COLMAP's: the centre of the first pixel is (0.5, 0.5)). For snavely
+                cameras, which look along -z, y goes up and (0, 0) is the centre of the image.
+            camera_indices: (num_images,), the camera of each image. By default the one camera
+                there is, or, with as many cameras as images, the camera of the same index.
+            sigmas: (num_observations,), standard deviations of the observations in pixels.
+            covariances: (num_observations, 3), rows xx, xy, yy in squared pixels, instead.
+
+        Raises:
+            TypeError: an array is not of numbers, or indices are not integers.
+            ValueError: an array has the wrong shape, or a number breaks a rule.
+            IndexError: an index is out of range.
+        """
+        if sigmas is not None and covariances is not None:
+            raise ValueError("sigmas and covariances say the same thing; give one of them")
+        poses = _arrays.doubles(poses, (None, 7), "poses")
+        points = _arrays.doubles(points, (None, 3), "points")
+        models, params = _camera_rows(camera_models, camera_params)
+        if camera_indices is None:
+            camera_indices = _default_camera_indices(len(models), len(poses))
+        cameras = _arrays.indices(
+            camera_indices, len(poses), len(models), "camera_indices", "cameras"
+        )
+        images = _arrays.indices(image_indices, None, len(poses), "image_indices", "images")
+        tracks = _arrays.indices(point_indices, len(images), len(points), "point_indices", "points")
+        pixels = _arrays.doubles(pixels, (len(images), 2), "pixels")
+        problem = cls()
+        with problem._use() as handle:
+            _set_cameras(handle, models, params)
+            _set_images(handle, cameras, poses)
+            _set_points(handle, points)
+            check(
+                lib.clba_problem_set_observations(
+                    handle,
+                    len(images),
+                    pointer(images, c_int32),
+                    stride(images),
+                    pointer(tracks, c_int32),
+                    stride(tracks),
+                    pointer(pixels, c_double),
+                    stride(pixels),
+                ),
+                xy="pixels",
+            )
+        if sigmas is not None:
+            problem.set_sigmas(sigmas)
+        if covariances is not None:
+            problem.set_covariances(covariances)
+        return problem
+
+    @classmethod
+    def from_bal(cls, path: str | os.PathLike[str]) -> Problem:
+        """Reads a file of Bundle Adjustment in the Large: plain, gzip or bzip2.
+
+        Each camera of the file becomes an image with a snavely camera of its own.
+
+        Raises:
+            FileError (an OSError): the file cannot be read.
+            FormatError (a ValueError): its content breaks a rule of the format.
+        """
+        handle = ctypes.POINTER(_ffi.ProblemHandle)()
+        check(lib.clba_problem_read_bal(os.fsencode(path), byref(handle)))
+        return cls._of(handle)
+
+    @classmethod
+    def from_pycolmap(
+        cls,
+        reconstruction: pycolmap.Reconstruction,
+        *,
+        refine_focal_length: bool = True,
+        refine_principal_point: bool = False,
+        refine_extra_params: bool = True,
+    ) -> Problem:
+        """A problem from the registered images of a reconstruction, its points and their tracks.
+
+        As in COLMAP's bundle adjustment, principal points are constant unless asked for.
+
+        Raises:
+            ValueError: a camera has a model that clba does not have, or an image is part of a rig
+                of several sensors; the message names it.
+        """
+        from clba import _pycolmap
+
+        return _pycolmap.problem(
+            reconstruction, refine_focal_length, refine_principal_point, refine_extra_params
+        )
+
+    def update_pycolmap(self, reconstruction: pycolmap.Reconstruction) -> None:
+        """Writes poses, intrinsics and points back, and updates the points' errors.
+
+        Args:
+            reconstruction: the one given to ``from_pycolmap``, or a copy of it.
+
+        Raises:
+            ValueError: the problem was not made by ``from_pycolmap``, or the reconstruction lacks
+                a camera, image or point of it; then nothing is changed.
+        """
+        from clba import _pycolmap
+
+        _pycolmap.update(self, reconstruction)
+
+    @classmethod
+    def generate(
+        cls,
+        scene: _names.Scene = "hall",
+        *,
+        num_images: int | None = None,
+        num_points: int | None = None,
+        observations_per_image: int | None = None,
+        seed: int | None = None,
+        pixel_noise: float | None = None,
+        outlier_share: float | None = None,
+        rotation_noise: float | None = None,
+        position_noise: float | None = None,
+        point_noise: float | None = None,
+    ) -> tuple[Problem, Problem]:
+        """Makes a scene with known truth, of images with a snavely camera each.
+
+        Args:
+            scene: "hall", "street" or "landmark".
+            num_images: at least 2; 356 by default.
+            num_points: by default it follows from the number of observations.
+            observations_per_image: about so many, at least 8; 400 by default.
+            seed: equal seeds give equal scenes.
+            pixel_noise: standard deviation in pixels; 0.5 by default.
+            outlier_share: of the observations, moved anywhere in the image; 0 by default.
+            rotation_noise: of the start, in degrees; 0.5 by default.
+            position_noise, point_noise: of the start's camera centres and points, as a share of
+                the distance to the scene; 0.01 by default.
+
+        Returns:
+            The disturbed start, as a solver gets it, and the truth: the same observations with the
+            true state.
+        """
+        options = _ffi.SceneOptions()
+        check(lib.clba_scene_options_init(byref(options), ctypes.sizeof(options)))
+        options.scene = _names.value_of(_names.SCENES, scene, "scene")
+        given = {
+            "num_images": num_images,
+            "num_points": num_points,
+            "observations_per_image": observations_per_image,
+            "seed": seed,
+            "pixel_noise": pixel_noise,
+            "outlier_share": outlier_share,
+            "rotation_noise": rotation_noise,
+            "position_noise": position_noise,
+            "point_noise": point_noise,
+        }
+        for name, value in given.items():
+            _ffi.set_number(options, name, value)
+        start = ctypes.POINTER(_ffi.ProblemHandle)()
+        truth = ctypes.POINTER(_ffi.ProblemHandle)()
+        check(lib.clba_problem_generate(byref(options), byref(start), byref(truth)))
+        return cls._of(start), cls._of(truth)
+
+    # ---- Files ---------------------------------------------------------------------------------
+
+    def to_bal(self, path: str | os.PathLike[str]) -> None:
+        """Writes a BAL file, compressed if the name ends in .gz or .bz2.
+
+        Raises:
+            InvalidArgumentError (a ValueError): a camera is not a snavely one.
+            FileError (an OSError): the file cannot be written; one that was there is unchanged.
+        """
+        with self._use() as handle:
+            check(lib.clba_problem_write_bal(handle, os.fsencode(path)))
+
+    def to_ply(self, path: str | os.PathLike[str]) -> None:
+        """Writes points in white and camera centres in green as a binary PLY file."""
+        with self._use() as handle:
+            check(lib.clba_problem_write_ply(handle, os.fsencode(path)))
+
+    # ---- What it holds -------------------------------------------------------------------------
+
+    @property
+    def num_cameras(self) -> int:
+        """Number of cameras."""
+        return int(self._info().num_cameras)
+
+    @property
+    def num_images(self) -> int:
+        """Number of images."""
+        return int(self._info().num_images)
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+        return int(self._info().num_points)
+
+    @property
+    def num_observations(self) -> int:
+        """Number of observations."""
+        return int(self._info().num_observations)
+
+    @property
+    def num_parameters(self) -> int:
+        """Length of a step: the dimension of the tangent space, constants included."""
+        return int(self._info().num_parameters)
+
+    @property
+    def camera_models(self) -> list[str]:
+        """The name of each camera's model."""
+        with self._use() as handle:
+            return [_names.name_of(_names.CAMERA_MODELS, value) for value in _models(handle)]
+
+    @property
+    def camera_params(self) -> Doubles:
+        """(num_cameras, k) parameters; shorter rows of a mixture of models end in NaN.
+
+        It may be set to as many rows.
+        """
+        with self._use() as handle:
+            return _params(handle)
+
+    @camera_params.setter
+    def camera_params(self, values: npt.ArrayLike) -> None:
+        with self._use() as handle:
+            models = _models(handle)
+            params = _arrays.doubles(values, (len(models), None), "camera_params")
+            _check_num_params(models, params)
+            _set_cameras(handle, models, params)
+
+    @property
+    def camera_indices(self) -> Int32s:
+        """(num_images,) the camera of each image."""
+        with self._use() as handle:
+            return _images(handle)[0]
+
+    @property
+    def poses(self) -> Doubles:
+        """(num_images, 7) camera from world: qw, qx, qy, qz, tx, ty, tz.
+
+        It may be set to as many rows; quaternions are normalised.
+        """
+        with self._use() as handle:
+            return _images(handle)[1]
+
+    @poses.setter
+    def poses(self, values: npt.ArrayLike) -> None:
+        with self._use() as handle:
+            cameras, _ = _images(handle)
+            _set_images(handle, cameras, _arrays.doubles(values, (len(cameras), 7), "poses"))
+
+    @property
+    def centers(self) -> Doubles:
+        """(num_images, 3) camera centres in world coordinates."""
+        with self._use() as handle:
+            count = _info(handle).num_images
+            centers = np.empty((count, 3))
+            check(lib.clba_problem_get_centers(handle, 0, count, pointer(centers, c_double), 0))
+            return centers
+
+    @property
+    def points(self) -> Doubles:
+        """(num_points, 3) world coordinates. It may be set to as many rows."""
+        with self._use() as handle:
+            count = _info(handle).num_points
+            points = np.empty((count, 3))
+            check(lib.clba_problem_get_points(handle, 0, count, pointer(points, c_double), 0))
+            return points
+
+    @points.setter
+    def points(self, values: npt.ArrayLike) -> None:
+        with self._use() as handle:
+            count = _info(handle).num_points
+            _set_points(handle, _arrays.doubles(values, (count, 3), "points"))
+
+    @property
+    def image_indices(self) -> Int32s:
+        """(num_observations,) the image of each observation."""
+        with self._use() as handle:
+            images = np.empty(_info(handle).num_observations, np.int32)
+            _get_observations(handle, len(images), images=images)
+            return images
+
+    @property
+    def point_indices(self) -> Int32s:
+        """(num_observations,) the point of each observation."""
+        with self._use() as handle:
+            points = np.empty(_info(handle).num_observations, np.int32)
+            _get_observations(handle, len(points), points=points)
+            return points
+
+    @property
+    def pixels(self) -> Doubles:
+        """(num_observations, 2) where the points were seen."""
+        with self._use() as handle:
+            pixels = np.empty((_info(handle).num_observations, 2))
+            _get_observations(handle, len(pixels), pixels=pixels)
+            return pixels
+
+    @property
+    def summary(self) -> Summary | None:
+        """Of the last solve, also of one that a callback's exception or Ctrl-C ended."""
+        return self._summary
+
+    # ---- Weights, constants, losses ------------------------------------------------------------
+
+    def set_sigmas(self, sigmas: npt.ArrayLike | None) -> None:
+        """Standard deviations of the observations.
+
+        Args:
+            sigmas: (num_observations,) in pixels, > 0; one number for all; None: all 1.
+        """
+        with self._use() as handle:
+            count = 0 if sigmas is None else _info(handle).num_observations
+            values = np.ones(0) if sigmas is None else sigmas
+            if np.ndim(values) == 0:
+                values = np.full(count, values)
+            rows = _arrays.doubles(values, (count,), "sigmas")
+            check(lib.clba_problem_set_sigmas(handle, count, pointer(rows, c_double), stride(rows)))
+
+    def set_covariances(self, covariances: npt.ArrayLike | None) -> None:
+        """Covariances of the observations.
+
+        Args:
+            covariances: (num_observations, 3), rows xx, xy, yy in squared pixels, each positive
+                definite; None: all identity.
+        """
+        with self._use() as handle:
+            if covariances is None:
+                check(lib.clba_problem_set_covariances(handle, 0, _NO_DOUBLES, 0))
+                return
+            count = _info(handle).num_observations
+            rows = _arrays.doubles(covariances, (count, 3), "covariances")
+            check(
+                lib.clba_problem_set_covariances(
+                    handle, count, pointer(rows, c_double), stride(rows)
+                )
+            )
+
+    def set_loss(self, loss: _names.Loss, scale: float = 1.0) -> None:
+        """The robust loss rho(|r|^2).
+
+        Args:
+            loss: "none", "huber", "soft_l1", "cauchy" or "tukey", as in Ceres.
+            scale: where it sets in, in pixels, or in sigmas where these are set; > 0.
+        """
+        value = _names.value_of(_names.LOSSES, loss, "loss")
+        with self._use() as handle:
+            check(lib.clba_problem_set_loss(handle, value, _ffi.number("scale", scale, float)))
+
+    def set_constant_images(
+        self,
+        rotation: npt.ArrayLike | None = None,
+        position: npt.ArrayLike | None = None,
+    ) -> None:
+        """Holds poses constant; what is not named is free.
+
+        Args:
+            rotation: images whose rotation stays: True for all, a boolean array (num_images,), or
+                indices.
+            position: images whose camera centre stays, likewise.
+        """
+        with self._use() as handle:
+            count = _info(handle).num_images
+            flags = _arrays.mask(rotation, count, "rotation").astype(np.int32)
+            flags += 2 * _arrays.mask(position, count, "position").astype(np.int32)
+            check(lib.clba_problem_set_constant_images(handle, count, pointer(flags, c_int32), 0))
+
+    def set_constant_cameras(
+        self, cameras: npt.ArrayLike | None = True, params: Sequence[str] | None = None
+    ) -> None:
+        """Holds intrinsics constant; what is not named is free.
+
+        Args:
+            cameras: True for all, None for none of them, a boolean array (num_cameras,), indices,
+                or a boolean array (num_cameras, k) that says it of each parameter.
+            params: names of the parameters that stay, as ("cx", "cy"); by default all. A camera
+                whose model lacks one of them is not held by that name.
+        """
+        with self._use() as handle:
+            models = _models(handle)
+            names = [_names.PARAM_NAMES[_names.name_of(_names.CAMERA_MODELS, m)] for m in models]
+            known = {name for row in names for name in row}
+            if isinstance(params, str):
+                raise TypeError(f"params = {params!r}, but it must be a sequence of names")
+            for name in params or ():
+                if name not in known:
+                    raise ValueError(
+                        f"params has {name!r}, but these cameras have {', '.join(sorted(known))}"
+                    )
+            if np.ndim(cameras) == 2:  # type: ignore[arg-type]
+                chosen = np.asarray(cameras)
+                most = max((len(row) for row in names), default=0)
+                if chosen.dtype.kind != "b" or chosen.shape != (len(models), most):
+                    raise ValueError(
+                        f"cameras has shape {chosen.shape} and dtype {chosen.dtype}, but it must "
+                        f"be boolean and ({len(models)}, {most})"
+                    )
+            else:
+                rows = _arrays.mask(cameras, len(models), "cameras")
+                chosen = np.repeat(rows[:, None], max((len(row) for row in names), default=0), 1)
+            flags = np.zeros(len(models), np.int32)
+            for camera, row in enumerate(names):
+                for k, name in enumerate(row):
+                    if chosen[camera, k] and (params is None or name in params):
+                        flags[camera] |= 1 << k
+            check(
+                lib.clba_problem_set_constant_cameras(
+                    handle, len(flags), pointer(flags, c_int32), 0
+                )
+            )
+
+    def set_constant_points(self, points: npt.ArrayLike | None = True) -> None:
+        """Holds points constant; what is not named is free.
+
+        Args:
+            points: True for all, None for none, a boolean array (num_points,), or indices.
+        """
+        with self._use() as handle:
+            count = _info(handle).num_points
+            flags = _arrays.mask(points, count, "points").astype(np.int32)
+            check(lib.clba_problem_set_constant_points(handle, count, pointer(flags, c_int32), 0))
+
+    def set_uncertainties(
+        self,
+        *,
+        images: npt.ArrayLike | None = None,
+        cameras: npt.ArrayLike | None = None,
+        points: npt.ArrayLike | None = None,
+    ) -> None:
+        """How uncertain each parameter of the start is, which shapes the damping, not the cost.
+
+        They count with ``damping="levenberg"`` and ``"uncertainty"``: a parameter of small
+        uncertainty moves less in a step. They are no priors: nothing pulls towards the start.
+
+        Args:
+            images: (num_images, 6), rotation in rad and position in world units; > 0.
+            cameras: (num_cameras, k), as long as the longest model's parameters; > 0.
+            points: (num_points, 3), world units; > 0.
+
+        What is None is set to 1. An array that numpy can broadcast to its shape will do.
+        """
+        with self._use() as handle:
+            info = _info(handle)
+            most = _params(handle).shape[1] if cameras is not None else 0
+            for values, shape, name, function in (
+                (images, (info.num_images, 6), "images", lib.clba_problem_set_image_uncertainties),
+                (
+                    cameras,
+                    (info.num_cameras, most),
+                    "cameras",
+                    lib.clba_problem_set_camera_uncertainties,
+                ),
+                (points, (info.num_points, 3), "points", lib.clba_problem_set_point_uncertainties),
+            ):
+                if values is None:
+                    check(function(handle, 0, _NO_DOUBLES, 0))
+                    continue
+                rows = _arrays.broadcast(values, shape, name)
+                check(
+                    function(handle, len(rows), pointer(rows, c_double), stride(rows)),
+                    values=name,
+                )
+
+    # ---- Evaluating ----------------------------------------------------------------------------
+
+    def evaluate(
+        self,
+        *,
+        residuals: bool = True,
+        gradient: bool = True,
+        jacobian: bool = True,
+        apply_loss: bool = True,
+        precision: _names.Precision = "double",
+        device: int | str | Context | None = None,
+    ) -> Evaluation:
+        """Cost, residuals, gradient and Jacobian at the current state, computed on the device.
+
+        Residuals and Jacobian are whitened by the covariances and multiplied by sqrt(rho'), so that
+        gradient = J^T r.
+
+        Args:
+            residuals, gradient, jacobian: what to compute besides the cost.
+            apply_loss: False leaves the loss out.
+            precision: "double", "mixed" or "single".
+            device: as in ``solve``.
+        """
+        value = _names.value_of(_names.PRECISIONS, precision, "precision")
+        context = context_of(device)
+        with self._use() as handle, context._use() as context_handle:
+            return _evaluation.evaluate(
+                handle,
+                context_handle,
+                _info(handle),
+                precision=value,
+                apply_loss=apply_loss,
+                residuals=residuals,
+                gradient=gradient,
+                structure=self._jacobian_structure(handle) if jacobian else None,
+            )
+
+    def _jacobian_structure(self, handle: Any) -> _evaluation.Structure:
+        info = _info(handle)
+        pose_offsets = np.empty(info.num_images, np.int64)
+        intrinsics_offsets = np.empty(info.num_cameras, np.int64)
+        check(
+            lib.clba_problem_get_offsets(
+                handle, pointer(pose_offsets, c_int64), pointer(intrinsics_offsets, c_int64)
+            )
+        )
+        images = np.empty(info.num_observations, np.int32)
+        points = np.empty(info.num_observations, np.int32)
+        _get_observations(handle, len(images), images=images, points=points)
+        num_params = np.array(
+            [lib.clba_camera_model_num_params(model) for model in _models(handle)], np.int64
+        )
+        return _evaluation.Structure(
+            pose_offsets=pose_offsets,
+            intrinsics_offsets=intrinsics_offsets,
+            num_params=num_params,
+            camera_indices=_images(handle)[0],
+            image_indices=images,
+            point_indices=points,
+        )
+
+    def offsets(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], int]:
+        """Where parameters are in a step, a gradient and the columns of the Jacobian.
+
+        Returns:
+            The first of the 6 parameters of each image's pose (rotation, position), the first of
+            each camera's intrinsics, and the first of the points, which follow 3 by 3.
+        """
+        with self._use() as handle:
+            structure = self._jacobian_structure(handle)
+            return (
+                structure.pose_offsets,
+                structure.intrinsics_offsets,
+                int(_info(handle).num_image_camera_parameters),
+            )
+
+    def apply_step(self, step: npt.ArrayLike) -> None:
+        """Moves the state: R <- exp([w]_x) R, t <- exp([w]_x) t + v, all else is added.
+
+        Args:
+            step: (num_parameters,); constant parameters stay.
+        """
+        with self._use() as handle:
+            values = _arrays.doubles(step, (_info(handle).num_parameters,), "step")
+            values = np.ascontiguousarray(values)
+            check(lib.clba_problem_apply_step(handle, pointer(values, c_double)))
+
+    def compare(self, other: Problem) -> Comparison:
+        """Aligns another problem to this one by a similarity and measures what is left.
+
+        Both need as many images and points as each other.
+        """
+        if not isinstance(other, Problem):
+            raise TypeError(f"other is a {type(other).__name__}, but it must be a clba.Problem")
+        comparison = _ffi.sized(_ffi.Comparison)
+        with contextlib.ExitStack() as stack:
+            handles = {
+                problem: stack.enter_context(problem._use())
+                for problem in sorted({self, other}, key=id)  # in one order in every thread
+            }
+            check(lib.clba_problem_compare(handles[self], handles[other], byref(comparison)))
+        return Comparison(**_ffi.fields(comparison))
+
+    # ---- Lifetime ------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Frees its memory, on the device too; it can be used no more.
+
+        Raises:
+            RuntimeError: it is being solved.
+        """
+        with self._lock:
+            self._check_not_being_solved()
+            self._release()
+
+    def __enter__(self) -> Problem:
+        with self._use():
+            return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        if not self._release.alive:
+            return "<clba.Problem, closed>"
+        if self._is_being_solved:
+            return "<clba.Problem, being solved>"
+        info = self._info()
+        return (
+            f"<clba.Problem: {info.num_images} images, {info.num_cameras} cameras, "
+            f"{info.num_points} points, {info.num_observations} observations>"
+        )
+
+    @contextlib.contextmanager
+    def _use(self) -> Iterator[Any]:
+        """The handle, for one thread, and not freed before the end of the block."""
+        with self._lock:
+            self._check_not_being_solved()
+            if not self._release.alive:
+                raise ValueError("the problem is closed; make another")
+            lib.clba_problem_retain(self._handle)
+            try:
+                yield self._handle
+            finally:
+                lib.clba_problem_release(self._handle)
+
+    @contextlib.contextmanager
+    def _solving(self) -> Iterator[Any]:
+        """The handle, for a solve: others are turned away instead of waiting."""
+        with self._use() as handle:
+            self._is_being_solved = True
+            lib.clba_problem_retain(handle)
+        try:
+            yield handle
+        finally:
+            with self._lock:
+                self._is_being_solved = False
+            lib.clba_problem_release(handle)
+
+    def _check_not_being_solved(self) -> None:
+        if self._is_being_solved:
+            raise RuntimeError(
+                "the problem is being solved; wait for the end of the solve, or give each thread a "
+                "problem of its own"
+            )
+
+    def _info(self) -> _ffi.ProblemInfo:
+        with self._use() as handle:
+            return _info(handle)
+
+
+def _info(handle: Any) -> _ffi.ProblemInfo:
+    info = _ffi.sized(_ffi.ProblemInfo)
+    check(lib.clba_problem_get_info(handle, byref(info)))
+    return info
+
+
+def _camera_rows(camera_models: str | Sequence[str], camera_params: Any) -> tuple[Int32s, Doubles]:
+    """Models and rows of parameters, padded to equal length if their models differ."""
+    rows = camera_params if isinstance(camera_params, np.ndarray) else _padded(camera_params)
+    if isinstance(camera_models, str):
+        if rows.ndim == 1:
+            rows = rows[None, :]
+        camera_models = [camera_models] * len(rows)
+    models = np.array(
+        [
+            _names.value_of(_names.CAMERA_MODELS, name, f"camera_models[{i}]")
+            for i, name in enumerate(camera_models)
+        ],
+        np.int32,
+    )
+    params = _arrays.doubles(rows, (len(models), None), "camera_params")
+    _check_num_params(models, params)
+    return models, params
+
+
+def _padded(rows: Any) -> npt.NDArray[Any]:
+    """An array of rows that may differ in length."""
+    if not isinstance(rows, Sequence):
+        return np.asarray(rows)
+    lengths = {len(row) if np.ndim(row) == 1 else 0 for row in rows}
+    if len(lengths) > 1:
+        most = max(lengths)
+        rows = [np.append(row, np.full(most - np.size(row), np.nan)) for row in rows]
+    return np.asarray(rows) if lengths else np.empty((0, 0))
+
+
+def _check_num_params(models: Int32s, params: Doubles) -> None:
+    """The longest model decides how long a row is."""
+    used = [_names.name_of(_names.CAMERA_MODELS, model) for model in np.unique(models)]
+    longest = max(used, key=lambda name: len(_names.PARAM_NAMES[name]), default=None)
+    if longest is None:
+        return
+    names = _names.PARAM_NAMES[longest]
+    if params.shape[1] != len(names):
+        raise ValueError(
+            f"camera_params has rows of {params.shape[1]} numbers, but {longest} has {len(names)}: "
+            f"{', '.join(names)}"
+        )
+
+
+def _default_camera_indices(num_cameras: int, num_images: int) -> Int32s:
+    if num_cameras == 1:
+        return np.zeros(num_images, np.int32)
+    if num_cameras == num_images:
+        return np.arange(num_images, dtype=np.int32)
+    raise ValueError(
+        f"camera_indices is None, but there are {num_cameras} cameras for {num_images} images; "
+        "say which image has which"
+    )
+
+
+def _set_cameras(handle: Any, models: Int32s, params: Doubles) -> None:
+    check(
+        lib.clba_problem_set_cameras(
+            handle,
+            len(models),
+            pointer(models, c_int32),
+            stride(models),
+            pointer(params, c_double),
+            stride(params),
+        ),
+        params="camera_params",
+        models="camera_models",
+    )
+
+
+def _set_images(handle: Any, cameras: Int32s, poses: Doubles) -> None:
+    check(
+        lib.clba_problem_set_images(
+            handle,
+            len(poses),
+            pointer(cameras, c_int32),
+            stride(cameras),
+            pointer(poses, c_double),
+            stride(poses),
+        )
+    )
+
+
+def _set_points(handle: Any, points: Doubles) -> None:
+    check(
+        lib.clba_problem_set_points(handle, len(points), pointer(points, c_double), stride(points)),
+        xyz="points",
+    )
+
+
+def _models(handle: Any) -> Int32s:
+    models = np.empty(_info(handle).num_cameras, np.int32)
+    check(
+        lib.clba_problem_get_cameras(
+            handle, 0, len(models), pointer(models, c_int32), 0, _NO_DOUBLES, 0
+        )
+    )
+    return models
+
+
+def _params(handle: Any) -> Doubles:
+    models = _models(handle)
+    lengths = [lib.clba_camera_model_num_params(model) for model in models]
+    params = np.full((len(models), max(lengths, default=0)), np.nan)
+    check(
+        lib.clba_problem_get_cameras(
+            handle, 0, len(models), _NO_INTS, 0, pointer(params, c_double), stride(params)
+        )
+    )
+    return params
+
+
+def _images(handle: Any) -> tuple[Int32s, Doubles]:
+    count = _info(handle).num_images
+    cameras, poses = np.empty(count, np.int32), np.empty((count, 7))
+    check(
+        lib.clba_problem_get_images(
+            handle, 0, count, pointer(cameras, c_int32), 0, pointer(poses, c_double), 0
+        )
+    )
+    return cameras, poses
+
+
+def _get_observations(
+    handle: Any,
+    count: int,
+    *,
+    images: Int32s | None = None,
+    points: Int32s | None = None,
+    pixels: Doubles | None = None,
+) -> None:
+    """Fills the arrays that are given."""
+    check(
+        lib.clba_problem_get_observations(
+            handle,
+            0,
+            count,
+            _NO_INTS if images is None else pointer(images, c_int32),
+            0,
+            _NO_INTS if points is None else pointer(points, c_int32),
+            0,
+            _NO_DOUBLES if pixels is None else pointer(pixels, c_double),
+            0,
+        )
+    )

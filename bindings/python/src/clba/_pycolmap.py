@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Problems from COLMAP's reconstructions and back.
+
+Both name an image's pose camera from world and measure pixels in the frame of the principal point,
+and a model's parameters have COLMAP's order; only quaternions differ: COLMAP's end in w.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clba import _names
+from clba._problem import Problem
+
+if TYPE_CHECKING:
+    import pycolmap
+
+# COLMAP has none that looks along -z.
+MODELS = {name.upper(): name for name in _names.CAMERA_MODELS if name != "snavely"}
+
+_TO_XYZW = [1, 2, 3, 0]
+_TO_WXYZ = [3, 0, 1, 2]
+
+
+def problem(
+    reconstruction: pycolmap.Reconstruction,
+    refine_focal_length: bool,
+    refine_principal_point: bool,
+    refine_extra_params: bool,
+) -> Problem:
+    """See Problem.from_pycolmap."""
+    image_ids = sorted(reconstruction.reg_image_ids())
+    images = [reconstruction.image(image_id) for image_id in image_ids]
+    for image in images:
+        if not _is_rig_of_its_own(image):
+            raise ValueError(
+                f"image {image.image_id} ({image.name}) is part of a rig of several sensors, which "
+                "clba does not have; give each of its cameras a rig of its own"
+            )
+    camera_ids = sorted({image.camera_id for image in images})
+    cameras = [reconstruction.camera(camera_id) for camera_id in camera_ids]
+    for camera in cameras:
+        if camera.model.name not in MODELS:
+            raise ValueError(
+                f"camera {camera.camera_id} has the model {camera.model.name}, but clba has "
+                f"{', '.join(MODELS)}; undistort its images, or fit one of these models"
+            )
+    point_ids = sorted(reconstruction.point3D_ids())
+    points = [reconstruction.point3D(point_id) for point_id in point_ids]
+
+    camera_rows = {camera_id: row for row, camera_id in enumerate(camera_ids)}
+    point_rows = {point_id: row for row, point_id in enumerate(point_ids)}
+    image_indices, point_indices, pixels = [], [], []
+    for row, image in enumerate(images):
+        observations = image.get_observation_points2D()
+        image_indices.append(np.full(len(observations), row, np.int32))
+        point_indices += [point_rows[observation.point3D_id] for observation in observations]
+        pixels += [observation.xy for observation in observations]
+    poses = [image.cam_from_world() for image in images]
+    made = Problem.from_arrays(
+        camera_models=[MODELS[camera.model.name] for camera in cameras],
+        camera_params=[camera.params for camera in cameras],
+        camera_indices=np.array([camera_rows[image.camera_id] for image in images], np.int32),
+        poses=np.array(
+            [[*pose.rotation.quat[_TO_WXYZ], *pose.translation] for pose in poses]
+        ).reshape(-1, 7),
+        points=np.array([point.xyz for point in points]).reshape(-1, 3),
+        image_indices=np.concatenate([np.zeros(0, np.int32), *image_indices]),
+        point_indices=np.array(point_indices, np.int32),
+        pixels=np.array(pixels).reshape(-1, 2),
+    )
+    made._colmap_ids = (camera_ids, image_ids, point_ids)
+
+    most_params = max((len(camera.params) for camera in cameras), default=0)
+    constant = np.zeros((len(cameras), most_params), dtype=bool)
+    for row, camera in enumerate(cameras):
+        for is_refined, indices in (
+            (refine_focal_length, camera.focal_length_idxs()),
+            (refine_principal_point, camera.principal_point_idxs()),
+            (refine_extra_params, camera.extra_params_idxs()),
+        ):
+            constant[row, list(indices)] = not is_refined
+    made.set_constant_cameras(constant)
+    return made
+
+
+def update(problem: Problem, reconstruction: pycolmap.Reconstruction) -> None:
+    """See Problem.update_pycolmap."""
+    import pycolmap
+
+    if problem._colmap_ids is None:
+        raise ValueError("the problem was not made by from_pycolmap, so it has no reconstruction")
+    camera_ids, image_ids, point_ids = problem._colmap_ids
+    models = problem.camera_models
+    for kind, ids, known in (
+        ("camera", camera_ids, reconstruction.cameras),
+        ("image", image_ids, set(reconstruction.reg_image_ids())),
+        ("point", point_ids, reconstruction.point3D_ids()),
+    ):
+        missing = set(ids).difference(known)
+        if missing:
+            raise ValueError(
+                f"the reconstruction has no {kind} {min(missing)}; give update_pycolmap the one "
+                "that from_pycolmap was given"
+            )
+    for camera_id, model in zip(camera_ids, models, strict=True):
+        found = reconstruction.camera(camera_id).model.name
+        if found != model.upper():
+            raise ValueError(
+                f"camera {camera_id} has the model {found}, but had {model.upper()} when the "
+                "problem was made"
+            )
+    for camera_id, model, params in zip(camera_ids, models, problem.camera_params, strict=True):
+        reconstruction.camera(camera_id).params = params[: len(_names.PARAM_NAMES[model])]
+    for image_id, pose in zip(image_ids, problem.poses, strict=True):
+        image = reconstruction.image(image_id)
+        rotation = pycolmap.Rotation3d(pose[_TO_XYZW])
+        assert image.frame is not None  # it is registered
+        image.frame.set_cam_from_world(image.camera_id, pycolmap.Rigid3d(rotation, pose[4:]))
+    for point_id, xyz in zip(point_ids, problem.points, strict=True):
+        reconstruction.point3D(point_id).xyz = xyz
+    reconstruction.update_point_3d_errors()
+
+
+def _is_rig_of_its_own(image: pycolmap.Image) -> bool:
+    frame = image.frame
+    return frame is not None and frame.rig is not None and frame.rig.num_sensors() == 1

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Solving a problem."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from ctypes import byref
+from typing import Any
+
+from clba import _ffi, _names, _summary
+from clba._devices import Context, context_of
+from clba._ffi import check, lib
+from clba._interrupt import DeferredInterrupt
+from clba._problem import Problem
+from clba._summary import Iteration, Summary
+
+Callback = Callable[[Iteration], "bool | None"]
+
+
+def solve(
+    problem: Problem,
+    *,
+    device: int | str | Context | None = None,
+    linear_solver: _names.LinearSolver = "auto",
+    preconditioner: _names.Preconditioner = "default",
+    damping: _names.Damping = "marquardt",
+    precision: _names.Precision = "auto",
+    jacobian: _names.JacobianForm = "default",
+    max_num_iterations: int | None = None,
+    max_linear_solver_iterations: int | None = None,
+    min_linear_solver_iterations: int | None = None,
+    max_num_consecutive_invalid_steps: int | None = None,
+    initial_trust_region_radius: float | None = None,
+    max_trust_region_radius: float | None = None,
+    min_trust_region_radius: float | None = None,
+    min_relative_decrease: float | None = None,
+    min_damping_diagonal: float | None = None,
+    max_damping_diagonal: float | None = None,
+    function_tolerance: float | None = None,
+    gradient_tolerance: float | None = None,
+    parameter_tolerance: float | None = None,
+    target_cost: float | None = None,
+    max_seconds: float | None = None,
+    eta: float | None = None,
+    callback: Callback | None = None,
+    progress: bool = False,
+) -> Summary:
+    """Minimises a problem's cost from its state, and leaves it at the best state found.
+
+    Blocks, with the GIL released. Ctrl-C stops at the next iteration: the problem then holds the
+    best state, ``problem.summary`` the summary, and KeyboardInterrupt is raised.
+
+    Args:
+        problem: changed in place.
+        device: an index, a part of a platform's or device's name, or a ``clba.Context``; by default
+            the environment variable CLBA_DEVICE, else the best device.
+        linear_solver: "auto", "pcg_schur" (implicit Schur complement), "explicit_schur" (formed,
+            and factorized on the host), "pcg_hessian" or "direct_schur" (needs a plug-in).
+        preconditioner: "default", "block_jacobi" or "schur_jacobi" (of pcg_schur alone).
+        damping: "marquardt", "levenberg" or "uncertainty".
+        precision: "auto", "mixed", "double" or "single".
+        jacobian: "default", "recomputed" or "stored", what the device keeps of it.
+        max_num_iterations: 50 by default.
+        max_linear_solver_iterations, min_linear_solver_iterations: of each step; 500 and 0.
+        max_num_consecutive_invalid_steps: 5.
+        initial_trust_region_radius: 1 / lambda of the first step; 1e4.
+        max_trust_region_radius, min_trust_region_radius: 1e16 and 1e-32.
+        min_relative_decrease: a step is accepted if its gain ratio exceeds this; 1e-3.
+        min_damping_diagonal, max_damping_diagonal: 1e-6 and 1e32.
+        function_tolerance: stop if |cost change| <= this * cost; 1e-6.
+        gradient_tolerance: stop if the gradient's largest entry <= this; 1e-10.
+        parameter_tolerance: stop if |step| <= this * (|x| + this); 1e-8.
+        target_cost: stop if the cost <= this; 0.
+        max_seconds: time budget; infinite.
+        eta: forcing term of the inexact step, below 1; by default it follows the preconditioner.
+        callback: called with an `Iteration` after each iteration; one that returns True stops the
+            solve, and one that raises stops it and has its exception raised by ``solve``. It must
+            not use the problem.
+        progress: show a bar (of tqdm, also in notebooks).
+
+    Raises:
+        ValueError: an option breaks a rule, or the problem is closed.
+        TypeError: an option has the wrong type.
+        NoDeviceError: there is no such device, or it lacks the precision.
+        RuntimeError: the problem is being solved by another thread.
+    """
+    if not isinstance(problem, Problem):
+        raise TypeError(f"problem is a {type(problem).__name__}, but it must be a clba.Problem")
+    if callback is not None and not callable(callback):
+        raise TypeError(f"callback = {callback!r}, but it must be a function of an Iteration")
+    options = _ffi.SolverOptions()
+    check(lib.clba_solver_options_init(byref(options), ctypes.sizeof(options)))
+    options.linear_solver = _names.value_of(_names.LINEAR_SOLVERS, linear_solver, "linear_solver")
+    options.preconditioner = _names.value_of(
+        _names.PRECONDITIONERS, preconditioner, "preconditioner"
+    )
+    options.damping = _names.value_of(_names.DAMPINGS, damping, "damping")
+    options.precision = _names.value_of(_names.PRECISIONS, precision, "precision")
+    options.jacobian = _names.value_of(_names.JACOBIANS, jacobian, "jacobian")
+    numbers = {
+        "max_num_iterations": max_num_iterations,
+        "max_linear_solver_iterations": max_linear_solver_iterations,
+        "min_linear_solver_iterations": min_linear_solver_iterations,
+        "max_num_consecutive_invalid_steps": max_num_consecutive_invalid_steps,
+        "initial_trust_region_radius": initial_trust_region_radius,
+        "max_trust_region_radius": max_trust_region_radius,
+        "min_trust_region_radius": min_trust_region_radius,
+        "min_relative_decrease": min_relative_decrease,
+        "min_damping_diagonal": min_damping_diagonal,
+        "max_damping_diagonal": max_damping_diagonal,
+        "function_tolerance": function_tolerance,
+        "gradient_tolerance": gradient_tolerance,
+        "parameter_tolerance": parameter_tolerance,
+        "target_cost": target_cost,
+        "max_seconds": max_seconds,
+        "eta": eta,
+    }
+    for name, value in numbers.items():
+        _ffi.set_number(options, name, value)
+    context = context_of(device)
+    if not progress:
+        return _run(problem, context, options, callback)
+    from clba._progress import Progress
+
+    with Progress(options.max_num_iterations) as bar:
+        return _run(problem, context, options, bar.before(callback))
+
+
+def _run(
+    problem: Problem,
+    context: Context,
+    options: _ffi.SolverOptions,
+    callback: Callback | None,
+) -> Summary:
+    raised: list[BaseException] = []
+
+    # There is a callback even if the caller has none: it is where Ctrl-C is noticed.
+    def on_iteration(row: Any, _user_data: object) -> int:
+        try:
+            should_stop = callback is not None and callback(_summary.iteration(row.contents))
+            return int(bool(should_stop) or interrupt.is_pending)
+        except BaseException as error:
+            raised.append(error)
+            return 1
+
+    options.on_iteration = _ffi.IterationFunction(on_iteration)
+    result = ctypes.POINTER(_ffi.ResultHandle)()
+    with DeferredInterrupt() as interrupt:
+        with problem._solving() as handle, context._use() as context_handle:
+            check(lib.clba_problem_solve(handle, context_handle, byref(options), byref(result)))
+        try:
+            summary = _summary.summary(result)
+        finally:
+            lib.clba_result_release(result)
+        problem._summary = summary
+        if raised:
+            raise raised[0]
+    return summary

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""COLMAP's reconstructions, there and back, and its own bundle adjustment."""
+
+from __future__ import annotations
+
+import copy
+import pathlib
+from typing import Any
+
+import numpy as np
+import pycolmap
+import pytest
+
+import clba
+from clba import _pycolmap
+
+# Parameters of a camera of 1000 x 800 pixels.
+PARAMS = {
+    "SIMPLE_PINHOLE": [900.0, 500, 400],
+    "PINHOLE": [900.0, 920, 500, 400],
+    "SIMPLE_RADIAL": [900.0, 500, 400, 0.05],
+    "RADIAL": [900.0, 500, 400, 0.05, -0.02],
+    "OPENCV": [900.0, 920, 500, 400, 0.05, -0.02, 0.002, -0.001],
+}
+
+
+def reconstruction_of(
+    models: list[str], *, noise: float = 0.0, images_per_camera: int = 4, num_points: int = 100
+) -> pycolmap.Reconstruction:
+    """A synthetic one, each camera shared by some images, its start disturbed."""
+    pycolmap.set_random_seed(3)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs = len(models)
+    options.num_frames_per_rig = images_per_camera
+    options.num_points3D = num_points
+    options.camera_width, options.camera_height = 1000, 800
+    options.camera_model_id = pycolmap.CameraModelId.PINHOLE
+    options.camera_params = PARAMS["PINHOLE"]
+    made = pycolmap.synthesize_dataset(options)
+    # Other models, with the pixels that belong to them.
+    for camera_id, model in zip(sorted(made.cameras), models, strict=True):
+        camera = made.camera(camera_id)
+        camera.model = getattr(pycolmap.CameraModelId, model)
+        camera.params = PARAMS[model]
+    for image in made.images.values():
+        for point2d in image.points2D:
+            if point2d.has_point3D():
+                point2d.xy = image.project_point(made.point3D(point2d.point3D_id).xyz)
+    disturbance = pycolmap.SyntheticNoiseOptions()
+    disturbance.point2D_stddev = noise
+    disturbance.point3D_stddev = 0.05 * (noise > 0)
+    disturbance.rig_from_world_translation_stddev = 0.02 * (noise > 0)
+    disturbance.rig_from_world_rotation_stddev = 0.5 * (noise > 0)
+    pycolmap.synthesize_noise(disturbance, made)
+    return made
+
+
+def state_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
+    return {
+        "params": [c.params.tolist() for _, c in sorted(reconstruction.cameras.items())],
+        "poses": [i.cam_from_world().matrix() for _, i in sorted(reconstruction.images.items())],
+        "points": np.array([p.xyz for _, p in sorted(reconstruction.points3D.items())]),
+    }
+
+
+def test_every_model_of_clba_but_snavely_is_one_of_colmap() -> None:
+    assert set(_pycolmap.MODELS) == set(PARAMS)
+    assert set(clba.PARAM_NAMES) == {name.lower() for name in PARAMS} | {"snavely"}
+
+
+@pytest.mark.parametrize("model", PARAMS)
+def test_round_trip(model: str) -> None:
+    """Both project alike, and what comes out is what a solve found."""
+    reconstruction = reconstruction_of([model, model])
+    before = state_of(reconstruction)
+    problem = clba.Problem.from_pycolmap(reconstruction)
+    assert problem.camera_models == [model.lower()] * 2
+    assert (problem.num_images, problem.num_points) == (8, 100)
+    assert problem.num_observations == reconstruction.compute_num_observations()
+    at = problem.evaluate(gradient=False, jacobian=False)
+    assert at.residuals is not None and abs(at.residuals).max() < 1e-9
+
+    problem.update_pycolmap(reconstruction)
+    after = state_of(reconstruction)
+    assert after["params"] == before["params"]
+    np.testing.assert_allclose(after["poses"], before["poses"], atol=1e-14)
+    np.testing.assert_array_equal(after["points"], before["points"])
+
+    problem.points = problem.points + [1, 2, 3]
+    problem.poses = problem.poses + [0, 0, 0, 0, 0.1, 0.2, 0.3]
+    params = problem.camera_params
+    params += np.arange(1, params.shape[1] + 1) / 64
+    problem.camera_params = params
+    problem.update_pycolmap(reconstruction)
+    after = state_of(reconstruction)
+    np.testing.assert_array_equal(after["params"], params)
+    np.testing.assert_allclose(
+        np.array(after["poses"])[:, :, 3], np.array(before["poses"])[:, :, 3] + [0.1, 0.2, 0.3]
+    )
+    np.testing.assert_allclose(after["points"], np.array(before["points"]) + [1, 2, 3])
+    assert reconstruction.is_valid()
+
+
+def test_three_models_end_where_colmap_ends(tmp_path: pathlib.Path) -> None:
+    """The same cost to 1e-6, and a reconstruction that is valid."""
+    reconstruction = reconstruction_of(["SIMPLE_RADIAL", "PINHOLE", "OPENCV"], noise=0.6)
+    theirs = copy.deepcopy(reconstruction)
+    problem = clba.Problem.from_pycolmap(reconstruction)
+    start = problem.evaluate(jacobian=False).cost
+    summary = clba.solve(problem, function_tolerance=1e-12, precision="double")
+    problem.update_pycolmap(reconstruction)
+
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    pycolmap.bundle_adjustment(theirs, options)
+    their_cost = clba.Problem.from_pycolmap(theirs).evaluate(jacobian=False).cost
+    our_cost = clba.Problem.from_pycolmap(reconstruction).evaluate(jacobian=False).cost
+
+    assert summary.converged and our_cost < 0.01 * start
+    assert our_cost == pytest.approx(summary.final_cost, rel=1e-9)
+    assert our_cost == pytest.approx(their_cost, rel=1e-6)
+    assert reconstruction.is_valid()
+    error = theirs.compute_mean_reprojection_error()
+    assert reconstruction.compute_mean_reprojection_error() == pytest.approx(error, rel=1e-4)
+    reconstruction.write(tmp_path)
+    read = pycolmap.Reconstruction(tmp_path)
+    assert read.compute_num_observations() == problem.num_observations
+
+
+def test_what_is_refined_is_as_in_colmap() -> None:
+    reconstruction = reconstruction_of(["OPENCV"], noise=0.5)
+    for refined, changed in (
+        ({}, [True, True, False, False, True, True, True, True]),
+        ({"refine_focal_length": False}, [False] * 4 + [True] * 4),
+        ({"refine_extra_params": False, "refine_principal_point": True}, [True] * 4 + [False] * 4),
+    ):
+        problem = clba.Problem.from_pycolmap(reconstruction, **refined)
+        clba.solve(problem, max_num_iterations=2)
+        assert (problem.camera_params[0] != PARAMS["OPENCV"]).tolist() == changed
+
+
+def test_images_without_a_pose_are_left_out() -> None:
+    reconstruction = reconstruction_of(["PINHOLE", "RADIAL"])
+    image = reconstruction.image(reconstruction.reg_image_ids()[0])
+    reconstruction.deregister_frame(image.frame_id)
+    problem = clba.Problem.from_pycolmap(reconstruction)
+    assert problem.num_images == 7
+    problem.update_pycolmap(reconstruction)
+    assert not image.has_pose
+
+
+def test_other_models_are_refused_by_name() -> None:
+    reconstruction = reconstruction_of(["PINHOLE"])
+    camera = next(iter(reconstruction.cameras.values()))
+    for model in ("OPENCV_FISHEYE", "FOV", "FULL_OPENCV"):
+        camera.model = getattr(pycolmap.CameraModelId, model)
+        camera.params = pycolmap.Camera.create_from_model_name(0, model, 900, 1000, 800).params
+        with pytest.raises(
+            ValueError, match=f"camera 1 has the model {model}, but clba has SIMPLE"
+        ):
+            clba.Problem.from_pycolmap(reconstruction)
+
+
+def test_rigs_are_refused() -> None:
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_cameras_per_rig = 2
+    with pytest.raises(ValueError, match=r"image \d+ \(.*\) is part of a rig of several sensors"):
+        clba.Problem.from_pycolmap(pycolmap.synthesize_dataset(options))
+
+
+def test_updating_another_reconstruction_changes_nothing(problem: clba.Problem) -> None:
+    reconstruction = reconstruction_of(["PINHOLE", "RADIAL"], noise=0.5)
+    with pytest.raises(ValueError, match="was not made by from_pycolmap"):
+        problem.update_pycolmap(reconstruction)
+    made = clba.Problem.from_pycolmap(reconstruction)
+    clba.solve(made, max_num_iterations=1)
+    point_id = max(reconstruction.point3D_ids())
+    reconstruction.delete_point3D(point_id)
+    before = state_of(reconstruction)
+    with pytest.raises(ValueError, match=f"the reconstruction has no point {point_id}"):
+        made.update_pycolmap(reconstruction)
+    after = state_of(reconstruction)
+    assert after["params"] == before["params"]
+    np.testing.assert_array_equal(after["points"], before["points"])
+    np.testing.assert_array_equal(after["poses"], before["poses"])
+
+
+def test_a_model_that_changed_is_named() -> None:
+    reconstruction = reconstruction_of(["PINHOLE", "RADIAL"])
+    made = clba.Problem.from_pycolmap(reconstruction)
+    camera = reconstruction.camera(2)
+    camera.model, camera.params = pycolmap.CameraModelId.PINHOLE, PARAMS["PINHOLE"]
+    with pytest.raises(ValueError, match="camera 2 has the model PINHOLE, but had RADIAL"):
+        made.update_pycolmap(reconstruction)
+
+
+def test_an_empty_reconstruction() -> None:
+    problem = clba.Problem.from_pycolmap(pycolmap.Reconstruction())
+    assert problem.num_images == 0
+    problem.update_pycolmap(pycolmap.Reconstruction())
