@@ -31,7 +31,7 @@ def require(holds, message):
 def tool(name):
     path = shutil.which(name)
     if not path:
-        print(f"skipped: no {name} on PATH; scripts/install-language-packages installs it")
+        print(f"skipped: no {name} on PATH; scripts/install-test-packages installs it")
         sys.exit(SKIPPED)
     return path
 
