@@ -136,7 +136,6 @@ private:
         const CostEvaluation trial = evaluator_.cost(device_.trial, nullptr);
         summary_.evaluate_seconds += lap();
         if (!std::isfinite(trial.cost)) {
-            // What products see of the images is the trial's now.
             handle_invalid_step();
             return;
         }

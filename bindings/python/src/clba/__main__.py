@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 import clba
-from clba import _names, plot
+from clba import _files, _names, plot
 
 # Those of the clba command.
 EXIT_OK, EXIT_NOT_SOLVED, EXIT_FILE, EXIT_NO_DEVICE, EXIT_DEVICE = 0, 3, 4, 5, 6
@@ -135,7 +135,7 @@ def _write(
     if parsed.ply is not None:
         problem.to_ply(parsed.ply)
     if parsed.json is not None:
-        pathlib.Path(parsed.json).write_text(f"{summary.json()}\n", encoding="utf-8")
+        _files.write(parsed.json, f"{summary.json()}\n".encode())
     after = _state(problem, parsed)
     if after is not None:
         title = pathlib.Path(parsed.file).name
