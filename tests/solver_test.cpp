@@ -142,6 +142,26 @@ bool equal_states(const Problem& a, const Problem& b) {
            a.points == b.points;
 }
 
+// The weights of Tong et al. (2013), extrinsics some 1000 times as uncertain as intrinsics,
+// multiply the columns of J, and Marquardt's D^2 = diag(J^T J) with them: the iterates stay those
+// of no weights. With a power of two not even rounding differs.
+TEST(Solver, WeightsDoNotChangeTheIteratesUnderMarquardtsDamping) {
+    const Problem start = scene(SceneKind::hall);
+    Problem weighted = start;
+    weighted.image_uncertainties.assign(start.images.size(), {1024, 1024, 1024, 1024, 1024, 1024});
+    weighted.camera_uncertainties.assign(start.cameras.size(), {1, 1, 1});
+    weighted.point_uncertainties.assign(start.points.size(), {1024, 1024, 1024});
+    MinimizerOptions options = all_solvers().back();
+    options.jacobian = JacobianForm::stored;
+    for (const int iterations : {1, 2, 4}) {
+        options.max_iterations = iterations;
+        Problem a = start, b = weighted;
+        ASSERT_EQ(run(a, options, Precision::double_precision).num_accepted_steps, iterations);
+        run(b, options, Precision::double_precision);
+        EXPECT_TRUE(equal_states(a, b)) << "after " << iterations << " iterations";
+    }
+}
+
 TEST(Solver, EqualRunsGiveEqualBits) {
     const Problem start = scene(SceneKind::landmark);
     for (const MinimizerOptions& options : all_solvers()) {
