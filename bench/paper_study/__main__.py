@@ -82,7 +82,7 @@ def write(results, folder, command):
         made = pathlib.Path(made)
         (made / "paper.md").write_text(document.document(results, command), encoding="utf-8")
         figures.model(settings["model_images"], settings["observations_per_image"],
-                      made / "paper-model.svg")
+                      settings["far_start"]["disturbance"], made / "paper-model.svg")
         figures.growth(results["growth"], document.GROWTH,
                        document.growth_fits(results["growth"]), made / "paper-growth.svg")
         figures.by_iteration(results["by_iteration"], made / "paper-weights.svg")

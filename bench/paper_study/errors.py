@@ -3,13 +3,20 @@
 import numpy as np
 
 
-def similarity(centers, truth):
-    """The similarity that takes centers nearest to truth in least squares (Umeyama 1991), as a function."""
+def similarity_parameters(centers, truth):
+    """Scale, rotation and shift that take centers nearest to truth in least squares (Umeyama 1991)."""
     mean, true_mean = centers.mean(axis=0), truth.mean(axis=0)
     u, singular, vt = np.linalg.svd((truth - true_mean).T @ (centers - mean))
     signs = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
     scale = (singular * signs).sum() / ((centers - mean) ** 2).sum()
-    return lambda points: true_mean + scale * (points - mean) @ (u * signs @ vt).T
+    rotation = u * signs @ vt
+    return scale, rotation, true_mean - scale * rotation @ mean
+
+
+def similarity(centers, truth):
+    """The same as a function of points."""
+    scale, rotation, shift = similarity_parameters(centers, truth)
+    return lambda points: scale * points @ rotation.T + shift
 
 
 def position_errors(centers, truth):

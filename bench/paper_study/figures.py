@@ -12,31 +12,31 @@ import scenes  # noqa: E402
 import timing  # noqa: E402
 from errors import similarity  # noqa: E402
 
-SHOWN_POINTS = 2500
+SHOWN_POINTS = 6000
 
 
 def save(figure, path):
     figure.tight_layout()
-    figure.savefig(path, metadata={"Date": None})
+    figure.savefig(path, metadata={"Date": None}, dpi=130)
     plt.close(figure)
 
 
-def model(num_images, observations_per_image, path):
+def model(num_images, observations_per_image, disturbance, path):
     """Figs. 2 and 3: the hall from above and from the side, before and after, over the truth."""
-    scene = scenes.hall(num_images, observations_per_image, timing.SEED)
+    scene = scenes.hall(num_images, observations_per_image, timing.SEED, disturbance)
     solved, _ = methods.solve(methods.ALL["default"], scene)
     truth = scene.truth.points
     shown = np.random.default_rng(0).permutation(len(truth))[:SHOWN_POINTS]
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8.5), height_ratios=[2.2, 1])
+    figure, axes = plt.subplots(2, 2, figsize=(11, 6), height_ratios=[2.4, 1])
     for column, (title, problem) in enumerate((("before", scene.start), ("after", solved))):
         move = similarity(problem.centers, scene.centers)
         points, centers = move(problem.points)[shown], move(problem.centers)
         for row, (x, y) in enumerate(((0, 1), (0, 2))):
             axis = axes[row, column]
             axis.scatter(truth[shown, x], truth[shown, y], s=1.2, color="0.75", linewidths=0,
-                         label="true points")
+                         rasterized=True, label="true points")
             axis.scatter(points[:, x], points[:, y], s=1.2, color="C0", linewidths=0,
-                         label="points")
+                         rasterized=True, label="points")
             axis.plot(scene.centers[:, x], scene.centers[:, y], color="0.4", linewidth=1,
                       label="true camera centres")
             axis.plot(centers[:, x], centers[:, y], color="C3", linewidth=0.8,
@@ -51,7 +51,7 @@ def model(num_images, observations_per_image, path):
 
 def growth(rows, labels, fits, path):
     """Fig. 4: seconds against images."""
-    figure, axis = plt.subplots(figsize=(8, 5))
+    figure, axis = plt.subplots(figsize=(11, 5))
     for index, (name, label) in enumerate(labels.items()):
         of = [row for row in rows if row["name"] == name]
         if not of:
@@ -71,13 +71,13 @@ def growth(rows, labels, fits, path):
     axis.set_xticks(ticks, [str(each) for each in ticks], fontsize="x-small")
     axis.minorticks_off()
     axis.grid(alpha=0.3)
-    axis.legend(fontsize="small")
+    axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))
     save(figure, path)
 
 
 def by_iteration(rows, path):
     """Position error of the paper's algorithm ended early: median over seeds, and their range."""
-    figure, axis = plt.subplots(figsize=(8, 4.5))
+    figure, axis = plt.subplots(figsize=(8, 5.5))
     for index, name in enumerate(dict.fromkeys(row["method"] for row in rows)):
         of = [row for row in rows if row["method"] == name]
         iterations = sorted({row["iterations"] for row in of})
@@ -88,5 +88,5 @@ def by_iteration(rows, path):
                           [max(each) for each in errors], color=f"C{index}", alpha=0.15)
     axis.set(yscale="log", xlabel="iterations", ylabel="RMS error of camera centres, metres")
     axis.grid(alpha=0.3, which="both")
-    axis.legend(fontsize="small")
+    axis.legend(fontsize="small", loc="upper center", bbox_to_anchor=(0.5, -0.12))
     save(figure, path)
