@@ -524,11 +524,11 @@ TEST_F(Setters, NameTheRowThatIsWrong) {
         EXPECT_TRUE(refused(clba_problem_apply_step(p, with(step, 11, bad).data()),
                             {"step[11]", "finite"}));
     }
-    for (int32_t bad : {-1, 6, 1000})
+    for (int32_t bad : {-1, 12, 1000})
         EXPECT_TRUE(refused(
             clba_problem_set_cameras(p, data.num_cameras(), with(data.models, 3, bad).data(), 0,
                                      data.params.data(), 0),
-            {"models[3]", "0 to 5"}));
+            {"models[3]", "0 to 11"}));
     for (int32_t bad : {-1, data.num_cameras()})
         EXPECT_TRUE(
             refused(clba_problem_set_images(p, data.num_images(), with(data.cameras, 3, bad).data(),
