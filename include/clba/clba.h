@@ -46,7 +46,8 @@ enum {
     CLBA_ERROR_INTERNAL = -6,     /* a bug in this library */
     CLBA_ERROR_FILE = -7,         /* a file cannot be opened, read or written */
     CLBA_ERROR_FORMAT = -8,       /* a file's content breaks a rule of its format */
-    CLBA_ERROR_NO_PLUGIN = -9     /* direct_schur needs the plug-in library clba_cholmod */
+    CLBA_ERROR_NO_PLUGIN = -9,    /* direct_schur needs the plug-in library clba_cholmod */
+    CLBA_ERROR_CANCELLED = -10    /* a progress callback asked for it */
 };
 
 CLBA_API uint32_t clba_version(void);                        /* of the library loaded */
@@ -504,13 +505,83 @@ CLBA_API clba_status clba_problem_compare(const clba_problem* a, const clba_prob
 
 /* ---- Files ----------------------------------------------------------------------------------- */
 
-/* Bundle Adjustment in the Large: plain, gzip or bzip2 text, told apart by content. Each BAL camera
- * becomes an image with a snavely camera of its own. */
+enum {
+    CLBA_FORMAT_AUTO = 0, /* reading: told by content; writing: see clba_write_options */
+    CLBA_FORMAT_BAL = 1,  /* Bundle Adjustment in the Large: plain, gzip or bzip2 text */
+    CLBA_FORMAT_COLMAP_BINARY =
+        2,                       /* a folder of cameras, images, points3D and, since COLMAP 3.12, */
+    CLBA_FORMAT_COLMAP_TEXT = 3, /* rigs and frames: .bin or .txt */
+    CLBA_FORMAT_BUNDLER = 4,
+    CLBA_FORMAT_NVM = 5,
+    CLBA_FORMAT_OPENMVG = 6,
+    CLBA_FORMAT_OPENSFM = 7,
+    CLBA_FORMAT_PLY = 8 /* written only: points in white, camera centres in green */
+};
+CLBA_API const char* clba_format_name(int32_t format); /* NULL: this version does not have it */
+
+/* fraction of the file read, from 0 to 1, on the thread that reads. Return 0 to go on; any other
+ * value ends the reading with CLBA_ERROR_CANCELLED. Must not throw or longjmp. */
+typedef int32_t (*clba_progress_fn)(double fraction, void* user_data);
+
+typedef struct clba_read_options {
+    uint32_t struct_size;
+    int32_t format;               /* AUTO */
+    clba_progress_fn on_progress; /* or NULL */
+    void* user_data;              /* passed to on_progress, never read */
+} clba_read_options;
+CLBA_API clba_status clba_read_options_init(clba_read_options* options, size_t struct_size);
+/* options NULL: defaults. Rows keep the file's order. What a problem has no place for (names, ids,
+ * colours, features without a point, rigs) is kept beside it and written back; a setter that
+ * changes the number of rows drops what belonged to them. */
+CLBA_API clba_status clba_problem_read(const char* path, const clba_read_options* options,
+                                       clba_problem** problem);
+/* What was read and cannot be solved as it is in the file, a line each; "" if nothing. Valid as
+ * long as the problem. */
+CLBA_API const char* clba_problem_notices(const clba_problem* problem);
+/* The one it was read in; AUTO if it was not read. */
+CLBA_API int32_t clba_problem_get_format(const clba_problem* problem);
+
+typedef struct clba_write_options {
+    uint32_t struct_size;
+    int32_t format;      /* AUTO: a folder's if `path` is a folder or ends in '/', else that of the
+                            name's ending if it has one, else the one the problem was read in */
+    int32_t accept_loss; /* 0: an error, which lists them, if the format cannot hold things that the
+                            problem and what was read with it have; 1: they are left out */
+    int32_t reserved;    /* 0 */
+} clba_write_options;
+CLBA_API clba_status clba_write_options_init(clba_write_options* options, size_t struct_size);
+/* options NULL: defaults. Files are written to temporary ones beside them and renamed: an error
+ * leaves what was there. Cameras are converted where that is exact: snavely to radial, and
+ * simple_pinhole, simple_radial and radial to snavely, which loses the principal point as a
+ * parameter. No format holds covariances, losses, constants or uncertainties. */
+CLBA_API clba_status clba_problem_write(const clba_problem* problem, const char* path,
+                                        const clba_write_options* options);
+/* Whether write would refuse the format or a loss: to know before a long solve. */
+CLBA_API clba_status clba_problem_check_write(const clba_problem* problem, const char* path,
+                                              const clba_write_options* options);
+
+/* What files hold of rows [first, first + count). NULL outputs are skipped. Where the problem was
+ * not read from a file that has them, ids are the index + 1, sizes 0, colours white. */
+CLBA_API clba_status clba_problem_get_camera_info(const clba_problem* problem, int32_t first,
+                                                  int32_t count, uint64_t* ids, size_t ids_stride,
+                                                  uint64_t* sizes, /* width, height in pixels */
+                                                  size_t sizes_stride);
+CLBA_API clba_status clba_problem_get_image_ids(const clba_problem* problem, int32_t first,
+                                                int32_t count, uint64_t* ids, size_t stride);
+CLBA_API clba_status clba_problem_get_point_info(const clba_problem* problem, int32_t first,
+                                                 int32_t count, uint64_t* ids, size_t ids_stride,
+                                                 uint8_t* colors, /* red, green, blue */
+                                                 size_t colors_stride);
+/* "" if it has none, NULL if there is no such image. Valid until the images are set again. */
+CLBA_API const char* clba_problem_get_image_name(const clba_problem* problem, int32_t image);
+
+/* The same as read with the format BAL: each BAL camera becomes an image with a snavely camera of
+ * its own. */
 CLBA_API clba_status clba_problem_read_bal(const char* path, clba_problem** problem);
-/* Compressed if path ends in .gz or .bz2. Needs every camera to be a snavely one. Written to a
- * temporary file beside `path` and renamed: an error leaves what was there. */
+/* Compressed if path ends in .gz or .bz2. Needs every camera to be a snavely one; images that share
+ * one each get its numbers. */
 CLBA_API clba_status clba_problem_write_bal(const clba_problem* problem, const char* path);
-/* Points in white, camera centres in green; binary little-endian. Written as write_bal does. */
+/* The same as write with the format PLY; binary little-endian. */
 CLBA_API clba_status clba_problem_write_ply(const clba_problem* problem, const char* path);
 
 /* ---- Generated scenes with known truth ------------------------------------------------------- */

@@ -13,8 +13,8 @@
 #include "base/error.hpp"
 #include "clba/clba.h"
 #include "device/context.hpp"
+#include "io/formats.hpp"
 #include "linear/device_problem.hpp"
-#include "problem/problem.hpp"
 
 struct clba_context {
     std::atomic<int> references{1};
@@ -23,7 +23,10 @@ struct clba_context {
 
 struct clba_problem {
     std::atomic<int> references{1};
-    clba::Problem problem;
+    clba::Reconstruction reconstruction;
+    clba::Problem& problem = reconstruction.problem;
+    clba::Format format = clba::Format::automatic;  // of the file it was read from, if it was
+    std::string notices;                            // those of the reconstruction, a line each
     // The problem on the device it was last used on; emptied when the structure changes. Keeps its
     // context alive.
     std::unique_ptr<clba::DeviceProblem> mirror;
@@ -114,6 +117,11 @@ void copy_text(const std::string& from, char (&to)[size]) {
     const size_t length = std::min(from.size(), size - 1);
     std::memcpy(to, from.data(), length);
     std::memset(to + length, 0, size - length);
+}
+
+inline void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
+    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
+            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
 }
 
 // Rows of a caller's array: a pointer and a stride in bytes, 0 for rows without gaps.

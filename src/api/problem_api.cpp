@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Problems: what they hold, files, generated scenes, comparison.
+// Problems: what they hold, generated scenes, comparison.
 #include <cmath>
 #include <limits>
 
 #include "api/handles.hpp"
-#include "io/bal.hpp"
-#include "io/ply.hpp"
 #include "problem/parameter_layout.hpp"
 #include "reference/compare.hpp"
 #include "reference/scene.hpp"
@@ -15,11 +13,6 @@ namespace {
 
 void require_count(int64_t count, int64_t expected, const char* rows) {
     require(count == expected, "count = ", count, ", but there are ", expected, " ", rows);
-}
-
-void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
-    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
-            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
 }
 
 // Drops what belongs to observations when images or points are replaced by another number of them.
@@ -40,6 +33,7 @@ clba_status changed(clba_problem* handle, Change&& change) {
         } else if (change(handle->problem)) {
             handle->mirror.reset();
         }
+        drop_mismatched(handle->reconstruction);
     });
 }
 
@@ -256,6 +250,8 @@ clba_status clba_problem_set_observations(clba_problem* problem, int64_t count,
         }
         p.observations = std::move(observations);
         p.whitening.clear();
+        problem->reconstruction.observation_features.clear();
+        problem->reconstruction.unmatched.clear();
     });
 }
 
@@ -547,31 +543,6 @@ clba_status clba_problem_compare(const clba_problem* a, const clba_problem* b,
         out.median_point_distance = internal.median_point_distance;
         out.extent = internal.extent;
         copy_out(out, comparison, "comparison");
-    });
-}
-
-clba_status clba_problem_read_bal(const char* path, clba_problem** problem) {
-    if (problem) *problem = nullptr;
-    return guarded([&] {
-        require_pointer(path, "path");
-        require_pointer(problem, "problem");
-        *problem = new_problem(read_bal(path));
-    });
-}
-
-clba_status clba_problem_write_bal(const clba_problem* problem, const char* path) {
-    return guarded([&] {
-        require_pointer(problem, "problem");
-        require_pointer(path, "path");
-        write_bal(problem->problem, path);
-    });
-}
-
-clba_status clba_problem_write_ply(const clba_problem* problem, const char* path) {
-    return guarded([&] {
-        require_pointer(problem, "problem");
-        require_pointer(path, "path");
-        write_ply(problem->problem, path);
     });
 }
 

@@ -16,12 +16,6 @@ using Context = std::unique_ptr<clba_context, Release>;
 using Problem = std::unique_ptr<clba_problem, Release>;
 using Result = std::unique_ptr<clba_result, Release>;
 
-inline Problem read_problem(const std::string& path) {
-    clba_problem* problem = nullptr;
-    check(clba_problem_read_bal(path.c_str(), &problem));
-    return Problem(problem);
-}
-
 inline clba_problem_info info_of(const clba_problem* problem) {
     clba_problem_info info = {};
     info.struct_size = sizeof info;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "cli/commands.hpp"
+#include "cli/files.hpp"
 #include "cli/handles.hpp"
 #include "cli/interrupt.hpp"
 #include "cli/options.hpp"
@@ -23,7 +24,7 @@ struct SolveArguments {
     SolveArguments() { check(clba_solver_options_init(&options, sizeof options)); }
     clba_solver_options options = {};
     std::string file;
-    std::string output;
+    Output output;
     std::string ply;
     std::string json;
     std::string device;
@@ -43,7 +44,7 @@ Context make_context(const std::string& device) {
 }
 
 Problem read_start(const SolveArguments& arguments) {
-    Problem problem = read_problem(arguments.file);
+    Problem problem = read_problem(arguments.file, arguments.quiet);
     if (info_of(problem.get()).num_observations == 0)
         throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
     check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
@@ -51,7 +52,7 @@ Problem read_start(const SolveArguments& arguments) {
 }
 
 void write_states(const clba_problem* problem, const SolveArguments& arguments) {
-    if (!arguments.output.empty()) check(clba_problem_write_bal(problem, arguments.output.c_str()));
+    if (!arguments.output.path.empty()) write_problem(problem, arguments.output);
     if (!arguments.ply.empty()) check(clba_problem_write_ply(problem, arguments.ply.c_str()));
 }
 
@@ -101,9 +102,10 @@ ExitCode exit_code_of(const clba_summary& summary) {
 }
 
 ExitCode solve(const SolveArguments& arguments) {
-    check_outputs({arguments.output, arguments.ply, arguments.json});
+    check_outputs({arguments.ply, arguments.json}, arguments.output.path);
     const Context context = make_context(arguments.device);
     const Problem problem = read_start(arguments);
+    if (!arguments.output.path.empty()) check_write(problem.get(), arguments.output);
     // Read now, because the output may replace the file.
     const Problem start = arguments.verify ? read_start(arguments) : nullptr;
 
@@ -132,9 +134,11 @@ ExitCode solve(const SolveArguments& arguments) {
 
 void add_output_options(CLI::App& command, SolveArguments& arguments) {
     command
-        .add_option("-o,--output", arguments.output,
-                    "BAL file of the solution; compressed if it ends in .gz or .bz2")
+        .add_option("-o,--output", arguments.output.path,
+                    "the solution: a file or folder in the format of FILE, unless its ending or "
+                    "--output-format says otherwise")
         ->check(not_empty);
+    add_output_format(command, "--output-format", arguments.output);
     command.add_option("--ply", arguments.ply, "PLY file of points and camera centres")
         ->check(not_empty);
     command.add_option("--json", arguments.json, "JSON file of the summary and every iteration")
@@ -206,8 +210,7 @@ void add_solve(CLI::App& program, int& result) {
     CLI::App* command = program.add_subcommand("solve", "Refine a problem");
     command->footer(exit_code_help);
     const auto arguments = std::make_shared<SolveArguments>();
-    command->add_option("FILE", arguments->file, "BAL problem: plain, gzip or bzip2 text")
-        ->required();
+    command->add_option("FILE", arguments->file, problem_help)->required();
     add_output_options(*command, *arguments);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);

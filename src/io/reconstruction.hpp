@@ -22,6 +22,7 @@ struct ImageInfo {
 struct PointInfo {
     uint64_t id = 0;
     std::array<uint8_t, 3> color{255, 255, 255};
+    double error = 0;  // as it was read: mean reprojection error in pixels
 };
 
 // An image's feature that no point claims.
@@ -29,6 +30,37 @@ struct Feature {
     int32_t image = 0;
     int32_t index = 0;    // among all features of its image
     double x = 0, y = 0;  // pixels
+};
+
+// COLMAP's number of the kind of a sensor, and which one: camera_sensor and a CameraInfo's id, or
+// something else that is kept and written back.
+struct Sensor {
+    int32_t kind = 0;
+    uint32_t id = 0;
+};
+inline constexpr int32_t camera_sensor = 0;
+
+struct RigSensor {
+    Sensor sensor;
+    bool has_pose = true;
+    Pose sensor_from_rig;  // as it was read; of the reference sensor the identity
+};
+
+struct Rig {
+    uint64_t id = 0;
+    std::vector<RigSensor> sensors;  // the reference sensor first
+};
+
+// What the sensors of a rig took at one moment.
+struct FrameDatum {
+    Sensor sensor;
+    uint64_t id = 0;  // of a camera: an ImageInfo's id
+};
+struct Frame {
+    uint64_t id = 0;
+    uint64_t rig = 0;     // its id
+    Pose rig_from_world;  // as it was read
+    std::vector<FrameDatum> data;
 };
 
 // What reconstruction files hold: a problem, and what a solver has no use for but a file written
@@ -40,6 +72,19 @@ struct Reconstruction {
     std::vector<PointInfo> points;
     std::vector<int32_t> observation_features;  // index of the feature among those of its image
     std::vector<Feature> unmatched;             // any number, by image, then index
+    bool has_frames = false;                    // the file has rigs and frames, even if none
+    std::vector<Rig> rigs;                      // any number
+    std::vector<Frame> frames;                  // any number
+    std::vector<Pose> poses_read;               // of images; quaternions need not have length 1
+    uint64_t digest_read = 0;                   // digest() when it was read; 0: never
+    std::vector<std::string> notices;           // what the problem cannot hold, for people
 };
+
+// Of cameras, images and points: what was read with them and follows from them (errors of points,
+// quaternions before they were normalised, poses of frames) is written as it was while this is.
+uint64_t digest(const Problem& problem);
+
+// Drops what no longer has as many rows as the problem.
+void drop_mismatched(Reconstruction& reconstruction);
 
 }  // namespace clba

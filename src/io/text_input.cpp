@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "base/error.hpp"
+#include "io/read_progress.hpp"
 
 namespace clba {
 namespace {
@@ -41,6 +42,7 @@ public:
             if (std::ferror(file_))
                 fail(Status::file, "cannot read ", path_, ": ", std::strerror(errno));
             pending_ = {block_.data(), count};
+            ReadProgress::add(static_cast<int64_t>(count));
         }
         return pending_;
     }

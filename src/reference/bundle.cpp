@@ -176,6 +176,28 @@ Cost residual(const Problem& problem, double* residuals) {
     return total;
 }
 
+std::vector<double> mean_reprojection_errors(const Problem& problem) {
+    const std::vector<RowMajor3> rotations = image_rotations(problem);
+    std::vector<double> distances(problem.observations.size());
+    parallel_ranges(problem.num_observations(), 1 << 12, [&](int64_t begin, int64_t end) {
+        for (int64_t i = begin; i < end; ++i)
+            measure(problem, rotations, i, [&](const Measured& m) {
+                const Observation& o = problem.observations[i];
+                distances[i] =
+                    std::hypot(m.projection.pixel.x() - o.x, m.projection.pixel.y() - o.y);
+            });
+    });
+    std::vector<double> errors(problem.points.size());
+    std::vector<int64_t> counts(problem.points.size());
+    for (size_t i = 0; i < distances.size(); ++i) {
+        errors[problem.observations[i].point] += distances[i];
+        ++counts[problem.observations[i].point];
+    }
+    for (size_t p = 0; p < errors.size(); ++p)
+        if (counts[p] > 0) errors[p] /= static_cast<double>(counts[p]);
+    return errors;
+}
+
 Jacobian jacobian(const Problem& problem, const ParameterLayout& layout) {
     const auto rotations = image_rotations(problem);
     const auto num_observations = problem.observations.size();

@@ -20,6 +20,10 @@ struct Cost {
 // the sum of the sums of blocks of 4096 observations, each summed in order by one thread.
 Cost residual(const Problem& problem, double* residuals);
 
+// Mean |projection - observation| of each point's observations, without covariances and loss, in
+// pixels; 0 where it has none.
+std::vector<double> mean_reprojection_errors(const Problem& problem);
+
 // The Jacobian of these residuals in block compressed sparse rows: block row i is observation i.
 // Columns of constant parameters are 0. Outliers are treated as Ceres' corrector does for
 // rho'' <= 0: J scaled by sqrt(rho').
