@@ -160,6 +160,78 @@ class Info(CliTest):
         self.refused(FILE, "info", "sub", mentions="sub")
 
 
+class Convert(CliTest):
+    MODEL = {
+        "cameras.txt": "5 SIMPLE_RADIAL 640 480 500 320 240 0.1\n",
+        "images.txt": "9 1 0 0 0 0 0 5 5 a.jpg\n330 250 70 1 2 -1\n"
+                      "4 1 0 0 0 1 0 5 5 b.jpg\n430 250 70\n",
+        "points3D.txt": "70 0.1 0.1 0 255 0 1 0 9 0 4 0\n",
+    }
+
+    def model(self):
+        (self.folder / "model").mkdir()
+        for name, text in self.MODEL.items():
+            self.write(text, "model/" + name)
+        return "model"
+
+    def files(self, name):
+        return {path.name: path.read_bytes() for path in (self.folder / name).iterdir()}
+
+    def test_info_tells_the_format(self):
+        text = self.clba("info", self.model()).stdout
+        self.assertRegex(text, r"(?m)^format +colmap_text$")
+        self.assertRegex(text, r"(?m)^cameras +1, of which 1 shared$")
+        self.assertRegex(self.clba("info", self.write(SMALL)).stdout, r"(?m)^format +bal$")
+
+    def test_formats_by_name_and_by_option(self):
+        model = self.model()
+        self.clba("convert", model, "binary/", "--format", "colmap_binary")
+        self.assertEqual(set(self.files("binary")), {"cameras.bin", "images.bin", "points3D.bin"})
+        self.clba("convert", "binary", "text", "--format", "colmap_text")
+        self.clba("convert", "text", "again/")
+        self.assertEqual(self.files("again"), self.files("text"))
+        self.clba("convert", model, "model.ply")
+        self.assertTrue((self.folder / "model.ply").read_bytes().startswith(b"ply\n"))
+        self.clba("convert", self.write(SMALL), "from bal/")
+        self.assertIn("cameras.bin", self.files("from bal"))
+
+    def test_what_would_be_lost_is_listed_and_can_be_accepted(self):
+        model = self.model()
+        self.refused(USAGE, "convert", model, "out.txt", mentions="names and ids of images")
+        self.refused(USAGE, "solve", model, "-o", "out.txt.gz", mentions="principal points")
+        self.clba("convert", model, "out.txt", "--accept-loss")
+        lines = (self.folder / "out.txt").read_text(encoding="utf-8").splitlines()
+        self.assertEqual(lines[:3], ["2 1 2", "0 0 10 -10", "1 0 110 -10"])
+        self.assertEqual(self.clba("info", "out.txt").stdout.count("bal"), 1)
+
+    def test_solve_writes_the_format_of_its_input(self):
+        model = self.model()
+        before = self.files(model)
+        self.clba("solve", model, "-o", "solved", "--max-iterations", 2, "--quiet")
+        self.assertEqual(set(self.files("solved")), set(before))
+        self.assertIn(b" a.jpg\n330 250 70 1 2 -1 \n", self.files("solved")["images.txt"])
+        self.clba("solve", model, "-o", "binary", "--output-format", "colmap_binary",
+                  "--max-iterations", 2, "--quiet")
+        self.assertIn("points3D.bin", self.files("binary"))
+        self.clba("solve", model, "-o", model, "--max-iterations", 2, "--quiet")
+        self.assertEqual(self.files(model), self.files("solved"))
+
+    def test_outputs_that_cannot_be(self):
+        model = self.model()
+        for arguments, part in (
+            (["absent/out/"], "absent"),
+            (["model", "--format", "bal", "--accept-loss"], "folder"),
+            (["model/images.txt/", "--format", "colmap_binary"], "images.txt"),
+            (["model", "--format", "colmap_binary"], "another folder"),
+        ):
+            with self.subTest(arguments):
+                self.refused(FILE, "convert", model, *arguments, mentions=part)
+        self.clba("convert", model, "out", "--format", "stl", exit_code=USAGE)
+        for text in ("model/points3D.txt", "model/cameras.txt"):
+            (self.folder / text).unlink()
+            self.refused(FILE, "convert", model, "out/", mentions=text.split("/")[1])
+
+
 class Generate(CliTest):
     def read(self, name):
         return (self.folder / name).read_bytes()
@@ -295,6 +367,7 @@ class Solve(CliTest):
         file = self.scene()
         for option in ("-o", "--ply", "--json"):
             self.refused(FILE, "solve", file, option, "absent/out", mentions="absent")
+        for option in ("--ply", "--json"):
             self.refused(FILE, "solve", file, option, ".", mentions="folder")
 
     def test_kernel_cache_folder(self):

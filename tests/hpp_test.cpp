@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <thread>
 
@@ -369,6 +370,31 @@ TEST_F(Solving, StepsMovePoints) {
     problem.apply_step(step);
     EXPECT_EQ(problem.points()[1][0], before[1][0] + 0.25);
     EXPECT_EQ(problem.points()[0], before[0]);
+}
+
+TEST_F(Solving, AnyFormatAndItsProgress) {
+    const std::string name = testing::TempDir() + "hpp_test_model" + std::to_string(::getpid());
+    problem.write(name + "/");
+    double last = 0;
+    const clba::Problem read = clba::Problem::read(name, {}, [&](double fraction) {
+        last = fraction;
+        return clba::Next::go_on;
+    });
+    EXPECT_GT(last, 0);
+    EXPECT_EQ(read.format(), CLBA_FORMAT_COLMAP_BINARY);
+    EXPECT_EQ(read.points(), problem.points());
+    EXPECT_EQ(read.image_info().names[0], "image000001");
+    EXPECT_EQ(read.camera_info().sizes.size(), read.camera_info().ids.size());
+    EXPECT_EQ(read.point_info().colors[0], (std::array<uint8_t, 3>{255, 255, 255}));
+    EXPECT_TRUE(read.notices().empty());
+    expect_refused([&] { read.check_write("x.txt"); }, "principal points");
+    struct Thrown {};
+    EXPECT_THROW(clba::Problem::read(name, {}, [](double) -> clba::Next { throw Thrown(); }),
+                 Thrown);
+    const clba::Error stopped =
+        error_of([&] { clba::Problem::read(name, {}, [](double) { return clba::Next::stop; }); });
+    EXPECT_EQ(stopped.status(), CLBA_ERROR_CANCELLED);
+    std::filesystem::remove_all(name);
 }
 
 TEST_F(Solving, FilesKeepEveryDigit) {

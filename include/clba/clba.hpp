@@ -162,6 +162,9 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
+inline std::string_view format_name(int32_t format) {
+    return detail::name(clba_format_name, format, "format");
+}
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
 }
@@ -239,6 +242,19 @@ struct Images {
     std::vector<int32_t> cameras;
     std::vector<std::array<double, 7>> poses;  // qw qx qy qz tx ty tz
 };
+// What files hold beside the problem, a row each (clba_problem_get_camera_info, ...).
+struct CameraInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::array<uint64_t, 2>> sizes;  // width, height
+};
+struct ImageInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::string> names;
+};
+struct PointInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::array<uint8_t, 3>> colors;
+};
 struct Observations {
     std::vector<int32_t> images, points;
     std::vector<std::array<double, 2>> xy;
@@ -254,6 +270,16 @@ struct ContextOptions : clba_context_options {
 struct SolverOptions : clba_solver_options {
     SolverOptions() : clba_solver_options() {
         check(clba_solver_options_init(this, sizeof(clba_solver_options)));
+    }
+};
+struct ReadOptions : clba_read_options {
+    ReadOptions() : clba_read_options() {
+        check(clba_read_options_init(this, sizeof(clba_read_options)));
+    }
+};
+struct WriteOptions : clba_write_options {
+    WriteOptions() : clba_write_options() {
+        check(clba_write_options_init(this, sizeof(clba_write_options)));
     }
 };
 struct SceneOptions : clba_scene_options {
@@ -375,6 +401,7 @@ public:
 
 enum class Next { go_on, stop };
 using IterationCallback = std::function<Next(const Iteration&)>;
+using ProgressCallback = std::function<Next(double)>;
 
 struct Offsets {
     std::vector<int64_t> poses, intrinsics;  // one an image; one a camera
@@ -392,6 +419,54 @@ public:
     using Handle::Handle;
 
     Problem() { check(clba_problem_create(&object_)); }  // an empty one
+
+    // Of any format. on_progress gets the fraction read; what it throws comes out of here.
+    static Problem read(const std::string& path, const ReadOptions& options = {},
+                        const ProgressCallback& on_progress = {}) {
+        clba_read_options given = options;
+        Call<ProgressCallback> call{on_progress, nullptr};
+        if (on_progress) {
+            given.on_progress = &Call<ProgressCallback>::enter;
+            given.user_data = &call;
+        }
+        clba_problem* made = nullptr;
+        const clba_status status = clba_problem_read(path.c_str(), &given, &made);
+        if (call.thrown) std::rethrow_exception(call.thrown);
+        check(status);
+        return Problem(made);
+    }
+    void write(const std::string& path, const WriteOptions& options = {}) const {
+        check(clba_problem_write(object_, path.c_str(), &options));
+    }
+    void check_write(const std::string& path, const WriteOptions& options = {}) const {
+        check(clba_problem_check_write(object_, path.c_str(), &options));
+    }
+    std::string_view notices() const { return clba_problem_notices(object_); }
+    int32_t format() const { return clba_problem_get_format(object_); }
+
+    CameraInfo camera_info() const {
+        const auto count = static_cast<size_t>(info().num_cameras);
+        CameraInfo rows{std::vector<uint64_t>(count), std::vector<std::array<uint64_t, 2>>(count)};
+        check(clba_problem_get_camera_info(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                           0, detail::numbers<2>(rows.sizes.data(), count), 0));
+        return rows;
+    }
+    ImageInfo image_info() const {
+        const auto count = static_cast<size_t>(info().num_images);
+        ImageInfo rows{std::vector<uint64_t>(count), {}};
+        check(clba_problem_get_image_ids(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                         0));
+        for (size_t i = 0; i < count; ++i)
+            rows.names.emplace_back(clba_problem_get_image_name(object_, static_cast<int32_t>(i)));
+        return rows;
+    }
+    PointInfo point_info() const {
+        const auto count = static_cast<size_t>(info().num_points);
+        PointInfo rows{std::vector<uint64_t>(count), std::vector<std::array<uint8_t, 3>>(count)};
+        check(clba_problem_get_point_info(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                          0, detail::numbers<3>(rows.colors.data(), count), 0));
+        return rows;
+    }
 
     static Problem read_bal(const std::string& path) {
         clba_problem* made = nullptr;
@@ -556,9 +631,9 @@ public:
     Result solve(const Context& context, const SolverOptions& options = {},
                  const IterationCallback& on_iteration = {}) {
         clba_solver_options given = options;
-        Call call{on_iteration, nullptr};
+        Call<IterationCallback> call{on_iteration, nullptr};
         if (on_iteration) {
-            given.on_iteration = &Call::enter;
+            given.on_iteration = &Call<IterationCallback>::enter;
             given.user_data = &call;
         }
         clba_result* made = nullptr;
@@ -629,14 +704,22 @@ public:
     }
 
 private:
+    template <class Callback>
     struct Call {
-        const IterationCallback& callback;
+        const Callback& callback;
         std::exception_ptr thrown;
 
         static int32_t enter(const clba_iteration* row, void* user_data) noexcept {
+            return run(*row, user_data);
+        }
+        static int32_t enter(double fraction, void* user_data) noexcept {
+            return run(fraction, user_data);
+        }
+        template <class Argument>
+        static int32_t run(const Argument& argument, void* user_data) noexcept {
             Call& call = *static_cast<Call*>(user_data);
             try {
-                return call.callback(*row) == Next::stop;
+                return call.callback(argument) == Next::stop;
             } catch (...) {
                 call.thrown = std::current_exception();
                 return 1;

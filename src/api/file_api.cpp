@@ -73,7 +73,8 @@ const FileFormat& output_format(const clba_problem& problem, const char* path,
     for (const std::string& loss : losses(problem.reconstruction, row))
         all += (all.empty() ? "" : "; ") + loss;
     require(given.accept_loss || all.empty(), path, ": files of the format ", row.name,
-            " do not hold ", all, ". Accept the loss (accept_loss = 1), or write another format");
+            " do not hold ", all,
+            ". Accept the loss (option accept_loss), or write another format");
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
     if (std::filesystem::exists(status) && std::filesystem::is_directory(status) != row.is_folder)

@@ -28,14 +28,11 @@ using colmap::TrackElement;
 constexpr auto most_rows = static_cast<size_t>(std::numeric_limits<int32_t>::max());
 
 Pose normalized_pose(const Pose& pose, const std::string& folder, const char* row, uint64_t id) {
-    const Pose made{normalized(pose.rotation), pose.translation};
-    double norm2 = 0;
-    for (double q : made.rotation) norm2 += q * q;
-    if (!(std::abs(norm2 - 1) < 1e-6))
+    if (!colmap::can_be_normalized(pose))
         fail(Status::format, folder, ": the quaternion of ", row, " ", id, " is (",
              pose.rotation[0], ", ", pose.rotation[1], ", ", pose.rotation[2], ", ",
              pose.rotation[3], "), but it must be one that can be normalised");
-    return made;
+    return {normalized(pose.rotation), pose.translation};
 }
 
 void require_rows(size_t count, const char* rows, const std::string& folder) {

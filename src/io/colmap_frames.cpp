@@ -26,11 +26,6 @@ Pose inverse(const Pose& pose) {
     return {{q[0], -q[1], -q[2], -q[3]}, camera_center(pose)};
 }
 
-bool is_rotation(const Pose& pose) {
-    const auto q = normalized(pose.rotation);
-    return std::isfinite(q[0] + q[1] + q[2] + q[3]);
-}
-
 bool agree(const Pose& a, const Pose& b) {
     constexpr double tolerance = 1e-9;
     const auto& q = b.rotation;
@@ -63,7 +58,7 @@ void check_rigs(const std::vector<Rig>& rigs, const std::string& folder) {
             if (!is_known(row.sensor))
                 fail(Status::format, folder, ": rig ", rig.id, " has a sensor of the kind ",
                      row.sensor.kind, ", but the kinds are 0 (camera) and 1 (IMU)");
-            if (row.has_pose && !is_rotation(row.sensor_from_rig))
+            if (row.has_pose && !can_be_normalized(row.sensor_from_rig))
                 fail(Status::format, folder, ": sensor ", row.sensor.id, " of rig ", rig.id,
                      " has a quaternion that cannot be normalised");
         }
@@ -132,7 +127,7 @@ void take_poses_from_frames(Reconstruction& made, const IdIndex& image_rows,
         };
         const int32_t rig_row = rig_rows.row(frame.rig);
         if (rig_row < 0) fail_here("refers to rig ", frame.rig, ", but there is no such rig");
-        if (!is_rotation(frame.rig_from_world))
+        if (!can_be_normalized(frame.rig_from_world))
             fail_here("has a quaternion that cannot be normalised");
         int64_t num_in_frame = 0;
         for (const FrameDatum& datum : frame.data) {
@@ -154,6 +149,9 @@ void take_poses_from_frames(Reconstruction& made, const IdIndex& image_rows,
                 pose = unit(frame.rig_from_world);
             else if (sensor->has_pose)
                 pose = product(unit(sensor->sensor_from_rig), unit(frame.rig_from_world));
+            const auto& t = pose.translation;
+            if (!std::isfinite(t[0] + t[1] + t[2]))
+                fail_here("and its rig give image ", datum.id, " a translation that is not finite");
         }
         num_frames += num_in_frame > 1;
         num_images += num_in_frame > 1 ? num_in_frame : 0;

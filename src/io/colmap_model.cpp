@@ -2,6 +2,7 @@
 #include "io/colmap_model.hpp"
 
 #include <cctype>
+#include <cmath>
 #include <filesystem>
 
 #include "base/error.hpp"
@@ -48,6 +49,12 @@ bool has_frame_files(const std::string& folder, const std::string& ending) {
         fail(Status::format, folder, " has ", has_rigs ? "rigs" : "frames", ending, " but no ",
              has_rigs ? "frames" : "rigs", ending, "; a model has both or neither");
     return has_frames;
+}
+
+bool can_be_normalized(const Pose& pose) {
+    double norm2 = 0;
+    for (double q : normalized(pose.rotation)) norm2 += q * q;
+    return std::abs(norm2 - 1) < 1e-6;  // false: 0, or too large to be squared
 }
 
 int32_t model_id(int32_t number) {

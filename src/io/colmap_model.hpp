@@ -63,6 +63,9 @@ void write_text(const Model& model, OutputFolder& folder);
 // Whether the folder has rigs and frames with this ending; an error if it has one of the two.
 bool has_frame_files(const std::string& folder, const std::string& ending);
 
+// Whether a quaternion that was read stands for a rotation.
+bool can_be_normalized(const Pose& pose);
+
 // COLMAP's number and name of a camera model, and clba's number of them. An error names the camera
 // where clba has no such model; `where` begins its message.
 int32_t model_id(int32_t number);

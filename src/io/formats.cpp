@@ -45,6 +45,20 @@ void write_ply_reconstruction(const Reconstruction& reconstruction, const std::s
     write_ply(reconstruction.problem, path);
 }
 
+constexpr FileFormat formats[] = {
+    {Format::bal, "bal", "a text of numbers, plain or compressed", ".bal .txt .gz .bz2", false,
+     recognises_bal, read_bal_reconstruction, write_bal_reconstruction, losses_of_bal},
+    {Format::colmap_binary, "colmap_binary",
+     "a folder with cameras.bin, images.bin and points3D.bin", "", true,
+     [](const Candidate& c) { return c.is_folder && has_colmap_binary(c.path); },
+     read_colmap_binary, write_colmap_binary, nullptr},
+    {Format::colmap_text, "colmap_text", "a folder with cameras.txt, images.txt and points3D.txt",
+     "", true, [](const Candidate& c) { return c.is_folder && has_colmap_text(c.path); },
+     read_colmap_text, write_colmap_text, nullptr},
+    {Format::ply, "ply", "points and camera centres, to look at", ".ply", false, nullptr, nullptr,
+     write_ply_reconstruction, nullptr},
+};
+
 bool ends_with(std::string_view name, std::string_view ending) {
     return name.size() > ending.size() && name.substr(name.size() - ending.size()) == ending;
 }
@@ -107,22 +121,8 @@ int64_t bytes_of(const std::string& path) {
 
 }  // namespace
 
-const std::vector<FileFormat>& file_formats() {
-    static const std::vector<FileFormat> formats{
-        {Format::bal, "bal", "a text of numbers, plain or compressed", ".bal .txt .gz .bz2", false,
-         recognises_bal, read_bal_reconstruction, write_bal_reconstruction, losses_of_bal},
-        {Format::colmap_binary, "colmap_binary",
-         "a folder with cameras.bin, images.bin and points3D.bin", "", true,
-         [](const Candidate& c) { return c.is_folder && has_colmap_binary(c.path); },
-         read_colmap_binary, write_colmap_binary, nullptr},
-        {Format::colmap_text, "colmap_text",
-         "a folder with cameras.txt, images.txt and points3D.txt", "", true,
-         [](const Candidate& c) { return c.is_folder && has_colmap_text(c.path); },
-         read_colmap_text, write_colmap_text, nullptr},
-        {Format::ply, "ply", "points and camera centres, to look at", ".ply", false, nullptr,
-         nullptr, write_ply_reconstruction, nullptr},
-    };
-    return formats;
+FileFormats file_formats() {
+    return {std::begin(formats), std::end(formats)};
 }
 
 const FileFormat* find_format(Format format) {

@@ -42,7 +42,12 @@ struct FileFormat {
     std::vector<std::string> (*losses)(const Reconstruction& reconstruction);
 };
 
-const std::vector<FileFormat>& file_formats();
+struct FileFormats {
+    const FileFormat *first, *last;
+    const FileFormat* begin() const { return first; }
+    const FileFormat* end() const { return last; }
+};
+FileFormats file_formats();
 const FileFormat* find_format(Format format);  // nullptr: there is no such format
 
 struct ReadFile {

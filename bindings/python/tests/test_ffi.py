@@ -23,7 +23,9 @@ SCALARS = {
     "double": ctypes.c_double,
     "size_t": ctypes.c_size_t,
     "clba_status": ctypes.c_int32,
+    "uint8_t": ctypes.c_uint8,
     "clba_iteration_fn": _ffi.IterationFunction,
+    "clba_progress_fn": _ffi.ProgressFunction,
 }
 STRUCTS = {
     **_ffi.STRUCTS,
@@ -149,6 +151,12 @@ def test_names_are_those_of_the_header(prefix: str, names: dict[str, int], liter
     assert names == enumeration(prefix)
     if literal is not None:
         assert set(literal.__args__) == set(names)  # type: ignore[attr-defined]
+
+
+def test_formats_are_those_of_the_header() -> None:
+    declared = enumeration("FORMAT")
+    assert set(_names.Format.__args__) == set(declared)  # type: ignore[attr-defined]
+    assert _names.FORMATS.items() <= declared.items()
 
 
 def test_terminations_are_those_of_the_header() -> None:

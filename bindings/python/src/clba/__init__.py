@@ -3,7 +3,7 @@
 
 import clba
 
-problem = clba.Problem.from_bal("problem.txt.bz2")
+problem = clba.Problem.read("problem.txt.bz2")
 summary = clba.solve(problem)
 print(summary.report())
 """
@@ -11,6 +11,7 @@ print(summary.report())
 from clba import plot
 from clba._devices import Context, Device, devices
 from clba._errors import (
+    CancelledError,
     DeviceError,
     Error,
     FileError,
@@ -31,6 +32,7 @@ from clba._version import __version__
 
 __all__ = [
     "PARAM_NAMES",
+    "CancelledError",
     "Comparison",
     "Context",
     "Device",

@@ -15,6 +15,7 @@ from ctypes import (
     c_int32,
     c_int64,
     c_size_t,
+    c_uint8,
     c_uint32,
     c_uint64,
     c_void_p,
@@ -229,6 +230,31 @@ class Comparison(Structure):
     ]
 
 
+ProgressFunction = ctypes.CFUNCTYPE(c_int32, c_double, c_void_p)
+
+
+class ReadOptions(Structure):
+    """clba_read_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("format", c_int32),
+        ("on_progress", ProgressFunction),
+        ("user_data", c_void_p),
+    ]
+
+
+class WriteOptions(Structure):
+    """clba_write_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("format", c_int32),
+        ("accept_loss", c_int32),
+        ("reserved", c_int32),
+    ]
+
+
 class SceneOptions(Structure):
     """clba_scene_options"""
 
@@ -259,6 +285,8 @@ STRUCTS: dict[str, type[Structure]] = {
         Summary,
         Evaluation,
         Comparison,
+        ReadOptions,
+        WriteOptions,
         SceneOptions,
     )
 }
@@ -270,6 +298,8 @@ _result = POINTER(ResultHandle)
 _int32s = POINTER(c_int32)
 _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
+_uint64s = POINTER(c_uint64)
+_bytes = POINTER(c_uint8)
 
 # Function: type of the result, types of the arguments.
 PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
@@ -353,6 +383,24 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     ),
     "clba_problem_apply_step": (_status, [_problem, _doubles]),
     "clba_problem_compare": (_status, [_problem, _problem, POINTER(Comparison)]),
+    "clba_format_name": (c_char_p, [c_int32]),
+    "clba_read_options_init": (_status, [POINTER(ReadOptions), c_size_t]),
+    "clba_problem_read": (_status, [c_char_p, POINTER(ReadOptions), POINTER(_problem)]),
+    "clba_problem_notices": (c_char_p, [_problem]),
+    "clba_problem_get_format": (c_int32, [_problem]),
+    "clba_write_options_init": (_status, [POINTER(WriteOptions), c_size_t]),
+    "clba_problem_write": (_status, [_problem, c_char_p, POINTER(WriteOptions)]),
+    "clba_problem_check_write": (_status, [_problem, c_char_p, POINTER(WriteOptions)]),
+    "clba_problem_get_camera_info": (
+        _status,
+        [_problem, c_int32, c_int32, _uint64s, c_size_t, _uint64s, c_size_t],
+    ),
+    "clba_problem_get_image_ids": (_status, [_problem, c_int32, c_int32, _uint64s, c_size_t]),
+    "clba_problem_get_point_info": (
+        _status,
+        [_problem, c_int32, c_int32, _uint64s, c_size_t, _bytes, c_size_t],
+    ),
+    "clba_problem_get_image_name": (c_char_p, [_problem, c_int32]),
     "clba_problem_read_bal": (_status, [c_char_p, POINTER(_problem)]),
     "clba_problem_write_bal": (_status, [_problem, c_char_p]),
     "clba_problem_write_ply": (_status, [_problem, c_char_p]),

@@ -16,6 +16,17 @@ Damping = Literal["marquardt", "levenberg", "uncertainty"]
 Precision = Literal["auto", "double", "mixed", "single"]
 JacobianForm = Literal["default", "recomputed", "stored"]
 Scene = Literal["hall", "street", "landmark"]
+Format = Literal[
+    "auto",
+    "bal",
+    "colmap_binary",
+    "colmap_text",
+    "bundler",
+    "nvm",
+    "openmvg",
+    "opensfm",
+    "ply",
+]
 
 # An enumeration's values are small; the functions that name them answer NULL to the others.
 _END_OF_VALUES = 32
@@ -34,6 +45,7 @@ DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
 SCENES = _named(lib.clba_scene_name)
+FORMATS = _named(lib.clba_format_name)
 
 DEVICE_TYPES = {"cpu": 1, "gpu": 2, "accelerator": 3, "other": 4}
 TERMINATIONS = {"convergence": 0, "no_convergence": 1, "failure": 2, "user_stop": 3}

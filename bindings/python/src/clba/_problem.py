@@ -7,8 +7,9 @@ import contextlib
 import ctypes
 import os
 import threading
+import warnings
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import byref, c_double, c_int32, c_int64
 from dataclasses import dataclass
 from types import TracebackType
@@ -17,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clba import _arrays, _evaluation, _ffi, _names
-from clba._arrays import Doubles, Int32s, pointer, stride
+from clba import _arrays, _evaluation, _ffi, _names, _problem_files
+from clba._arrays import Doubles, Int32s, UInt64s, pointer, stride
 from clba._devices import Context, context_of
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
@@ -162,6 +163,37 @@ class Problem:
         return problem
 
     @classmethod
+    def read(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        progress: Callable[[float], bool | None] | None = None,
+    ) -> Problem:
+        """Reads a file, or a folder of files, of any format the library knows.
+
+        What a problem has no place for (names, ids, colours, features without a point, rigs) is
+        kept beside it and written back.
+
+        Args:
+            format: by default it is told by content.
+            progress: called with the fraction read, from 0 to 1; one that returns True stops the
+                reading, and one that raises stops it and has its exception raised.
+
+        Warns:
+            UserWarning: what cannot be solved as it is in the file; also in ``notices``.
+
+        Raises:
+            FileError (an OSError): a file cannot be read.
+            FormatError (a ValueError): no format fits, or the content breaks a rule of it.
+            CancelledError: progress returned True.
+        """
+        problem = cls._of(_problem_files.read(path, format, progress))
+        for notice in problem.notices:
+            warnings.warn(f"{os.fspath(path)}: {notice}", stacklevel=2)
+        return problem
+
+    @classmethod
     def from_bal(cls, path: str | os.PathLike[str]) -> Problem:
         """Reads a file of Bundle Adjustment in the Large: plain, gzip or bzip2.
 
@@ -267,6 +299,89 @@ class Problem:
         return cls._of(start), cls._of(truth)
 
     # ---- Files ---------------------------------------------------------------------------------
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        accept_loss: bool = False,
+    ) -> None:
+        """Writes a file, or a folder of files; an error leaves what was there.
+
+        Args:
+            format: by default a folder's if path is a folder or ends in "/", else that of the
+                name's ending if it has one, else the one the problem was read in.
+            accept_loss: leave out what the format cannot hold.
+
+        Raises:
+            InvalidArgumentError (a ValueError): the format cannot hold the problem or, unless
+                accept_loss, what was read with it; the message lists that.
+            FileError (an OSError): the file cannot be written.
+        """
+        with self._use() as handle:
+            _problem_files.write(handle, path, format, accept_loss)
+
+    def check_write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        accept_loss: bool = False,
+    ) -> None:
+        """Raises what ``write`` would say against the format and a loss: before a long solve."""
+        with self._use() as handle:
+            _problem_files.check_write(handle, path, format, accept_loss)
+
+    @property
+    def format(self) -> str | None:
+        """Name of the format that the problem was read in, if it was."""
+        with self._use() as handle:
+            value = int(lib.clba_problem_get_format(handle))
+        return _names.name_of(_names.FORMATS, value) if value else None
+
+    @property
+    def notices(self) -> list[str]:
+        """What was read and cannot be solved as it is in the file."""
+        with self._use() as handle:
+            return _ffi.text(lib.clba_problem_notices(handle)).splitlines()
+
+    @property
+    def image_names(self) -> list[str]:
+        """Of each image, "" where the file has none."""
+        with self._use() as handle:
+            count = _info(handle).num_images
+            return [os.fsdecode(lib.clba_problem_get_image_name(handle, i)) for i in range(count)]
+
+    @property
+    def image_ids(self) -> UInt64s:
+        """(num_images,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.image_ids(handle, _info(handle).num_images)
+
+    @property
+    def camera_ids(self) -> UInt64s:
+        """(num_cameras,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.camera_info(handle, _info(handle).num_cameras)[0]
+
+    @property
+    def camera_sizes(self) -> UInt64s:
+        """(num_cameras, 2), width and height in pixels; 0 where they are not known."""
+        with self._use() as handle:
+            return _problem_files.camera_info(handle, _info(handle).num_cameras)[1]
+
+    @property
+    def point_ids(self) -> UInt64s:
+        """(num_points,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.point_info(handle, _info(handle).num_points)[0]
+
+    @property
+    def point_colors(self) -> npt.NDArray[np.uint8]:
+        """(num_points, 3), red, green and blue; white where the file has none."""
+        with self._use() as handle:
+            return _problem_files.point_info(handle, _info(handle).num_points)[1]
 
     def to_bal(self, path: str | os.PathLike[str]) -> None:
         """Writes a BAL file, compressed if the name ends in .gz or .bz2.
