@@ -3,7 +3,8 @@
 // generated scene of about a million observations or on a BAL file:
 //   bench/kernels [--benchmark_filter=...] [--benchmark_repetitions=5]
 // CLBA_BENCH_SCENE: hall (default), street, landmark or the path of a BAL file;
-// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has.
+// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has;
+// CLBA_BENCH_CAMERA: a camera model that all cameras get instead of snavely.
 #include <benchmark/benchmark.h>
 
 #include <chrono>
@@ -46,6 +47,29 @@ Problem bench_scene() {
     options.observations_per_image = static_cast<int32_t>(observations / options.num_images);
     options.seed = 1;
     return generate_scene(options).start;
+}
+
+// The scene through cameras of another model, which look along +z: y and z of their axes turn over.
+void set_camera_model(const std::string& name, Problem& problem) {
+    int32_t model = 0;
+    while (model < num_camera_models && name != camera_models[model].name) ++model;
+    if (model == num_camera_models)
+        fail(Status::invalid_argument, "CLBA_BENCH_CAMERA=", name, " is no camera model");
+    if (model == camera_snavely) return;
+    for (Camera& camera : problem.cameras) {
+        const double focal_length = camera.params[0];
+        camera = Camera();
+        camera.model = model;
+        camera.params[0] = focal_length;
+        if (camera_models[model].param_names[1] == 'x') camera.params[1] = focal_length;
+        if (model == camera_fov) camera.params[4] = 0.5;
+    }
+    for (Image& image : problem.images) {
+        image.pose.rotation = quaternion_product({0, 1, 0, 0}, image.pose.rotation);
+        for (int k : {1, 2}) image.pose.translation[k] = -image.pose.translation[k];
+    }
+    for (Observation& observation : problem.observations) observation.y = -observation.y;
+    problem.validate();
 }
 
 // Everything that the kernels work on, at the scene's start.
@@ -115,7 +139,8 @@ int main(int argc, char** argv) {
         options.device = environment("CLBA_DEVICE", "");
         options.cache_folder = ProgramCache::default_folder();
         const auto context = std::make_shared<Context>(options);
-        const Problem scene = bench_scene();
+        Problem scene = bench_scene();
+        set_camera_model(environment("CLBA_BENCH_CAMERA", "snavely"), scene);
         std::printf("device %s; %d images, %d points, %lld observations\n",
                     context->device().name.c_str(), scene.num_images(), scene.num_points(),
                     static_cast<long long>(scene.num_observations()));

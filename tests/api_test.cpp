@@ -67,12 +67,22 @@ TEST(Names, OfEveryValueAndNoOther) {
 
 TEST(CameraModels, AreThoseOfTheHeader) {
     const std::pair<const char*, const char*> models[] = {
-        {"snavely", "f,k1,k2"},      {"simple_pinhole", "f,cx,cy"},
-        {"pinhole", "fx,fy,cx,cy"},  {"simple_radial", "f,cx,cy,k"},
-        {"radial", "f,cx,cy,k1,k2"}, {"opencv", "fx,fy,cx,cy,k1,k2,p1,p2"},
+        {"snavely", "f,k1,k2"},
+        {"simple_pinhole", "f,cx,cy"},
+        {"pinhole", "fx,fy,cx,cy"},
+        {"simple_radial", "f,cx,cy,k"},
+        {"radial", "f,cx,cy,k1,k2"},
+        {"opencv", "fx,fy,cx,cy,k1,k2,p1,p2"},
+        {"opencv_fisheye", "fx,fy,cx,cy,k1,k2,k3,k4"},
+        {"full_opencv", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,k5,k6"},
+        {"fov", "fx,fy,cx,cy,omega"},
+        {"simple_radial_fisheye", "f,cx,cy,k"},
+        {"radial_fisheye", "f,cx,cy,k1,k2"},
+        {"thin_prism_fisheye", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,sx1,sy1"},
     };
-    ASSERT_EQ(clba_num_camera_models(), 6);
-    for (int32_t model = 0; model < 6; ++model) {
+    ASSERT_EQ(clba_num_camera_models(), 12);
+    EXPECT_EQ(CLBA_CAMERA_THIN_PRISM_FISHEYE, 11);
+    for (int32_t model = 0; model < 12; ++model) {
         const std::string names = models[model].second;
         EXPECT_STREQ(clba_camera_model_name(model), models[model].first);
         EXPECT_EQ(clba_camera_model_param_names(model), names);
@@ -80,7 +90,7 @@ TEST(CameraModels, AreThoseOfTheHeader) {
                   1 + std::count(names.begin(), names.end(), ','));
     }
     EXPECT_EQ(clba_camera_model_num_params(-1), -1);
-    EXPECT_EQ(clba_camera_model_num_params(6), -1);
+    EXPECT_EQ(clba_camera_model_num_params(12), -1);
 }
 
 TEST(Devices, AreListed) {
@@ -514,11 +524,11 @@ TEST_F(Setters, NameTheRowThatIsWrong) {
         EXPECT_TRUE(refused(clba_problem_apply_step(p, with(step, 11, bad).data()),
                             {"step[11]", "finite"}));
     }
-    for (int32_t bad : {-1, 6, 1000})
+    for (int32_t bad : {-1, 12, 1000})
         EXPECT_TRUE(refused(
             clba_problem_set_cameras(p, data.num_cameras(), with(data.models, 3, bad).data(), 0,
                                      data.params.data(), 0),
-            {"models[3]", "0 to 5"}));
+            {"models[3]", "0 to 11"}));
     for (int32_t bad : {-1, data.num_cameras()})
         EXPECT_TRUE(
             refused(clba_problem_set_images(p, data.num_images(), with(data.cameras, 3, bad).data(),

@@ -188,10 +188,11 @@ TEST(DirectSchur, OwnCameras) {
 
 TEST(DirectSchur, OwnCamerasOfAllModels) {
     std::mt19937 random(2);
-    const std::vector<CameraModelNumber> models{camera_opencv,        camera_simple_pinhole,
-                                                camera_simple_radial, camera_snavely,
-                                                camera_radial,        camera_pinhole};
-    expect_dense_solution(random_problem(models, own_cameras(6), 30, 120, random), random);
+    std::vector<CameraModelNumber> models;
+    for (int32_t model = num_camera_models - 1; model >= 0; --model)
+        models.push_back(static_cast<CameraModelNumber>(model));
+    expect_dense_solution(random_problem(models, own_cameras(num_camera_models), 60, 240, random),
+                          random);
 }
 
 TEST(DirectSchur, OneSharedCamera) {

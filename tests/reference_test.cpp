@@ -232,7 +232,7 @@ TEST(Reference, ColumnsOfConstantParametersAreZero) {
 
 // Own, shared and mixed cameras, and everything that can be wrong.
 std::vector<Problem> product_problems() {
-    return {test::small_scene(5, 12, test::all_camera_models(), false, 14),
+    return {test::small_scene(12, 12, test::all_camera_models(), false, 14),
             test::small_scene(6, 12, {camera_opencv, camera_snavely}, true, 15),
             test::with_constants(test::with_loss(
                 test::with_covariances(test::mixed_scene(6, 12, 16), 17), LossKind::cauchy, 10)),
@@ -378,7 +378,7 @@ TEST(Reference, SchurProductEqualsTheDenseSchurComplement) {
 }
 
 TEST(Reference, SchurDiagonalBlocksAreExactWhereNoImageSeesAPointTwice) {
-    for (const Problem& problem : {test::small_scene(5, 12, test::all_camera_models(), false, 25),
+    for (const Problem& problem : {test::small_scene(12, 12, test::all_camera_models(), false, 25),
                                    test::with_constants(test::mixed_scene(6, 12, 26)),
                                    test::small_scene(6, 12, {camera_radial}, true, 27)}) {
         const Linearized linearized(problem);
@@ -415,7 +415,7 @@ TEST(Reference, SchurDiagonalBlocksAreSemidefinite) {
 
 TEST(Reference, SmallScenesAreWellPosed) {
     for (bool shared : {false, true}) {
-        const Problem problem = test::small_scene(12, 50, test::all_camera_models(), shared, 28);
+        const Problem problem = test::small_scene(24, 50, test::all_camera_models(), shared, 28);
         EXPECT_EQ(ParameterLayout(problem).num_shared_cameras, shared ? num_camera_models : 0);
         std::vector<int> num_observations(problem.points.size(), 0);
         for (const Observation& observation : problem.observations)

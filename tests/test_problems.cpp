@@ -52,10 +52,13 @@ Camera plausible_camera(int32_t model, Random& random) {
             value = random.uniform(780, 820);
         else if (name[0] == 'c')
             value = random.uniform(380, 520);
-        else if (name[0] == 'p')
+        else if (name[0] == 'p' || name[0] == 's')
             value = random.uniform(-2e-3, 2e-3);
+        else if (name == "omega")
+            value = random.uniform(0.7, 1.1);
         else
-            value = name == "k2" ? random.uniform(0.01, 0.03) : random.uniform(-0.12, -0.08);
+            value = name == "k" || name == "k1" ? random.uniform(-0.12, -0.08)
+                                                : random.uniform(0.01, 0.03);
     }
     return camera;
 }
@@ -81,16 +84,21 @@ Point random_point_in_ball(Random& random) {
     return {p.x(), p.y(), p.z()};
 }
 
-void observe(Problem& problem, int32_t image, int32_t point, Random& random) {
+Eigen::Vector3d in_camera_frame(const Problem& problem, int32_t image, int32_t point) {
     const auto r = rotation_matrix(problem.images[image].pose.rotation);
     const auto& t = problem.images[image].pose.translation;
     const Point& x = problem.points[point];
     Eigen::Vector3d p;
     for (int k = 0; k < 3; ++k)
         p[k] = r[3 * k] * x[0] + r[3 * k + 1] * x[1] + r[3 * k + 2] * x[2] + t[k];
+    return p;
+}
+
+void observe(Problem& problem, int32_t image, int32_t point, Random& random, double noise = 0.5) {
+    const Eigen::Vector3d p = in_camera_frame(problem, image, point);
     const auto pixel = reference::project(problem.cameras[problem.images[image].camera], p).pixel;
     problem.observations.push_back(
-        {image, point, pixel.x() + 0.5 * random.normal(), pixel.y() + 0.5 * random.normal()});
+        {image, point, pixel.x() + noise * random.normal(), pixel.y() + noise * random.normal()});
 }
 
 void observe_random_share(Problem& problem, double share, Random& random) {
@@ -173,6 +181,75 @@ Problem mixed_scene(int num_images, int num_points, uint64_t seed) {
     for (int i = 0; i < num_images; ++i) camera_of_image.push_back(std::min(i, 2));
     return scene(camera_of_image, {camera_snavely, camera_opencv, camera_snavely}, num_points,
                  seed);
+}
+
+Problem wide_angle_scene() {
+    Random random(32);
+    Problem problem;
+    for (int32_t model : all_camera_models())
+        problem.cameras.push_back(plausible_camera(model, random));
+    for (double omega : {0.0, 1e-9, 1e-3, 1.99, 2.01, 2.8}) {
+        problem.cameras.push_back(plausible_camera(camera_fov, random));
+        problem.cameras.back().params[4] = omega;
+    }
+    for (int32_t camera = 0; camera < problem.num_cameras(); ++camera) {
+        // Half a turn about x where the camera looks along -z.
+        const bool is_turned = front_sign(problem.cameras[camera].model) < 0;
+        problem.images.push_back(
+            {camera, {{is_turned ? 0.0 : 1.0, is_turned ? 1.0 : 0.0, 0, 0}, {0, 0, 0}}});
+    }
+    problem.points = {{0, 0, 5}, {5e-9, 0, 5}, {0, -5e-9, 5}, {3e-5, 4e-5, 5}, {0.3, 0.4, -5}};
+    for (double degrees : {5.0, 13.0, 14.1, 30.0, 60.0, 80.0}) {
+        for (int k = 0; k < 4; ++k) {
+            const double around = random.uniform(0, 6.28), depth = random.uniform(1, 5);
+            const double r = depth * std::tan(degrees * 0.017453292519943295);
+            problem.points.push_back({r * std::cos(around), r * std::sin(around), depth});
+        }
+    }
+    for (int32_t image = 0; image < problem.num_images(); ++image)
+        for (int32_t point = 0; point < problem.num_points(); ++point)
+            observe(problem, image, point, random);
+    problem.validate();
+    return problem;
+}
+
+Recoverable recoverable_scene() {
+    Random random(33);
+    Problem problem;
+    for (bool is_shared : {false, true}) {
+        for (int32_t model : all_camera_models()) {
+            const int32_t camera = problem.num_cameras();
+            problem.cameras.push_back(plausible_camera(model, random));
+            for (int k = 0; k < (is_shared ? 2 : 1); ++k) {
+                const Eigen::Vector3d center = random.uniform(1, 2) * random.direction();
+                problem.images.push_back(
+                    {camera, looking_at_origin(center, random.direction(), front_sign(model))});
+            }
+        }
+    }
+    for (int k = 0; k < 400; ++k) {
+        const Eigen::Vector3d p = random.uniform(4, 6) * random.direction();
+        problem.points.push_back({p.x(), p.y(), p.z()});
+    }
+    const double cosine_of_edge = 0.5;
+    for (int32_t image = 0; image < problem.num_images(); ++image) {
+        const int sign = front_sign(problem.cameras[problem.images[image].camera].model);
+        for (int32_t point = 0; point < problem.num_points(); ++point) {
+            const Eigen::Vector3d p = in_camera_frame(problem, image, point);
+            if (sign * p.z() > cosine_of_edge * p.norm()) observe(problem, image, point, random, 0);
+        }
+    }
+    Recoverable scene{problem, problem};
+    disturb(scene.start, random);
+    scene.start.validate();
+    return scene;
+}
+
+Problem with_widest_camera(Problem problem) {
+    Camera camera;
+    while (camera.num_params() < max_camera_params) ++camera.model;
+    problem.cameras.push_back(camera);
+    return problem;
 }
 
 Problem with_covariances(Problem problem, uint64_t seed) {

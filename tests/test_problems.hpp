@@ -24,6 +24,20 @@ Problem small_scene(int num_images, int num_points, const std::vector<int32_t>& 
 // others, at least two, share one (snavely).
 Problem mixed_scene(int num_images, int num_points, uint64_t seed);
 
+// One image of each model, and of fov with awkward values of omega, at the origin: points in the
+// middle (0 and 1e-9 off), up to 80 degrees away from it, and behind.
+Problem wide_angle_scene();
+
+// Two cameras of each model, one of an image alone and one that two images share, see a shell of
+// points around them up to 60 degrees from their axes, without noise.
+struct Recoverable {
+    Problem truth, start;
+};
+Recoverable recoverable_scene();
+
+// With an unused camera of the model with most parameters, so that problems of different models
+// share kernels.
+Problem with_widest_camera(Problem problem);
 Problem with_covariances(Problem problem, uint64_t seed);
 Problem with_loss(Problem problem, LossKind kind, double scale);
 // Holds the pose of image 0, the rotation of image 1, the position of image 2, the first parameter

@@ -114,7 +114,8 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
 
 /* ---- Camera models --------------------------------------------------------------------------- */
 
-/* With u = P.x / P.z, v = P.y / P.z, r2 = u^2 + v^2 the pixel is, in COLMAP's order of parameters,
+/* With u = P.x / P.z, v = P.y / P.z, r2 = r^2 = u^2 + v^2 the pixel is, in COLMAP's order of
+ * parameters,
  *   simple_pinhole  f, cx, cy                          f u + cx, f v + cy
  *   pinhole         fx, fy, cx, cy                     fx u + cx, fy v + cy
  *   simple_radial   f, cx, cy, k                       f (1 + k r2) u + cx, ...
@@ -122,15 +123,37 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
  *   opencv          fx, fy, cx, cy, k1, k2, p1, p2     radial as above, plus
  *                                                      du = 2 p1 u v + p2 (r2 + 2 u^2)
  *                                                      dv = 2 p2 u v + p1 (r2 + 2 v^2)
+ *   full_opencv     fx, fy, cx, cy, k1, k2, p1, p2,    opencv with the factor (1 + k1 r2 + k2 r2^2
+ *                   k3, k4, k5, k6                     + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+ *   fov             fx, fy, cx, cy, omega              fx d u + cx, fy d v + cy with
+ *                                                      d = atan(2 r tan(omega / 2)) / (omega r)
+ * and of fisheyes, with a = atan(r) the angle from the axis and s = (a / r) u, t = (a / r) v,
+ *   simple_radial_fisheye  f, cx, cy, k                f (1 + k a^2) s + cx, ...
+ *   radial_fisheye         f, cx, cy, k1, k2           f (1 + k1 a^2 + k2 a^4) s + cx, ...
+ *   opencv_fisheye         fx, fy, cx, cy,             fx (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) s
+ *                          k1, k2, k3, k4              + cx, ...
+ *   thin_prism_fisheye     fx, fy, cx, cy, k1, k2,     opencv_fisheye as above, plus
+ *                          p1, p2, k3, k4, sx1, sy1    ds = 2 p1 s t + p2 (a^2 + 2 s^2) + sx1 a^2
+ *                                                      dt = 2 p2 s t + p1 (a^2 + 2 t^2) + sy1 a^2
  * and for snavely (Bundler, BAL), whose camera looks along -z, with u = -P.x / P.z, v = -P.y / P.z,
- *   snavely         f, k1, k2                          f (1 + k1 r2 + k2 r2^2) u, ... */
+ *   snavely         f, k1, k2                          f (1 + k1 r2 + k2 r2^2) u, ...
+ * Quotients by r and omega are their limits where these are 0. A point behind its camera gets what
+ * the formula gives for its u and v, so a fisheye sees it where it sees the opposite direction;
+ * summaries count such observations. fov's derivative by omega is 0 where omega is 0: a solve does
+ * not move it from there. The numbers are COLMAP's plus 1. */
 enum {
     CLBA_CAMERA_SNAVELY = 0,
     CLBA_CAMERA_SIMPLE_PINHOLE = 1,
     CLBA_CAMERA_PINHOLE = 2,
     CLBA_CAMERA_SIMPLE_RADIAL = 3,
     CLBA_CAMERA_RADIAL = 4,
-    CLBA_CAMERA_OPENCV = 5
+    CLBA_CAMERA_OPENCV = 5,
+    CLBA_CAMERA_OPENCV_FISHEYE = 6,
+    CLBA_CAMERA_FULL_OPENCV = 7,
+    CLBA_CAMERA_FOV = 8,
+    CLBA_CAMERA_SIMPLE_RADIAL_FISHEYE = 9,
+    CLBA_CAMERA_RADIAL_FISHEYE = 10,
+    CLBA_CAMERA_THIN_PRISM_FISHEYE = 11
 };
 CLBA_API int32_t clba_num_camera_models(void);
 CLBA_API const char* clba_camera_model_name(int32_t model);   /* NULL: no such model */

@@ -14,6 +14,7 @@ namespace clba {
 namespace {
 
 constexpr int64_t blocks_per_group = 16;  // of kernels/schur_pairs.cl
+static_assert(num_pose_params + max_camera_params <= 20, "rows of kernels/schur_pairs.cl");
 
 // RECORD_BYTES of kernels/schur_records.clh.
 uint64_t record_bytes(int32_t max_columns, Precision precision) {

@@ -8,7 +8,20 @@ from typing import Literal
 
 from clba._ffi import lib
 
-CameraModel = Literal["snavely", "simple_pinhole", "pinhole", "simple_radial", "radial", "opencv"]
+CameraModel = Literal[
+    "snavely",
+    "simple_pinhole",
+    "pinhole",
+    "simple_radial",
+    "radial",
+    "opencv",
+    "opencv_fisheye",
+    "full_opencv",
+    "fov",
+    "simple_radial_fisheye",
+    "radial_fisheye",
+    "thin_prism_fisheye",
+]
 Loss = Literal["none", "huber", "soft_l1", "cauchy", "tukey"]
 LinearSolver = Literal["auto", "pcg_schur", "pcg_hessian", "explicit_schur", "direct_schur"]
 Preconditioner = Literal["default", "block_jacobi", "schur_jacobi"]

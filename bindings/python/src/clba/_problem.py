@@ -104,8 +104,7 @@ class Problem:
         rows; others are converted.
 
         Args:
-            camera_models: "snavely", "simple_pinhole", "pinhole", "simple_radial", "radial" or
-                "opencv"; one name for all cameras or one a camera.
+            camera_models: a name of ``clba.PARAM_NAMES``; one for all cameras or one a camera.
             camera_params: (num_cameras, k), in COLMAP's order of the model's parameters (see
                 ``clba.PARAM_NAMES``). If models differ, rows may differ in length, or are padded.
             poses: (num_images, 7), camera from world: qw, qx, qy, qz, tx, ty, tz. Quaternions are
