@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Lines of words separated by spaces; lines that begin with # are comments. Numbers are written
 // with 17 digits, as COLMAP does.
-#include <fast_float/fast_float.h>
-
 #include <algorithm>
 #include <atomic>
 #include <charconv>
@@ -12,6 +10,7 @@
 #include "base/parallel.hpp"
 #include "io/colmap_model.hpp"
 #include "io/file_content.hpp"
+#include "io/number_reader.hpp"
 #include "io/read_progress.hpp"
 #include "io/text_input.hpp"
 
@@ -52,8 +51,7 @@ public:
     double number(const char* what) {
         const std::string_view digits = word(what);
         double value = 0;
-        const char* const end = digits.data() + digits.size();
-        if (fast_float::from_chars(digits.data(), end, value).ptr != end || !std::isfinite(value))
+        if (!parse_number(digits, value) || !std::isfinite(value))
             fail_here(what, " is '", shown(digits), "', but it must be a finite number");
         return value;
     }
