@@ -79,10 +79,11 @@ TEST(CameraModels, AreThoseOfTheHeader) {
         {"simple_radial_fisheye", "f,cx,cy,k"},
         {"radial_fisheye", "f,cx,cy,k1,k2"},
         {"thin_prism_fisheye", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,sx1,sy1"},
+        {"brown", "f,cx,cy,k1,k2,k3,p1,p2"},
     };
-    ASSERT_EQ(clba_num_camera_models(), 12);
+    ASSERT_EQ(clba_num_camera_models(), 13);
     EXPECT_EQ(CLBA_CAMERA_THIN_PRISM_FISHEYE, 11);
-    for (int32_t model = 0; model < 12; ++model) {
+    for (int32_t model = 0; model < 13; ++model) {
         const std::string names = models[model].second;
         EXPECT_STREQ(clba_camera_model_name(model), models[model].first);
         EXPECT_EQ(clba_camera_model_param_names(model), names);
@@ -90,7 +91,7 @@ TEST(CameraModels, AreThoseOfTheHeader) {
                   1 + std::count(names.begin(), names.end(), ','));
     }
     EXPECT_EQ(clba_camera_model_num_params(-1), -1);
-    EXPECT_EQ(clba_camera_model_num_params(12), -1);
+    EXPECT_EQ(clba_camera_model_num_params(13), -1);
 }
 
 TEST(Devices, AreListed) {

@@ -49,6 +49,7 @@ const Camera hand_cameras[] = {
     camera_with(camera_radial_fisheye, {100, 10, 20, 0.1, 0.01}),
     camera_with(camera_thin_prism_fisheye,
                 {100, 200, 10, 20, 0.1, 0.01, 0.001, 0.002, 0.02, 0.03, 0.003, 0.004}),
+    camera_with(camera_brown, {100, 10, 20, 0.1, 0.01, 0.2, 0.001, 0.002}),
 };
 const Eigen::Vector2d hand_pixels[] = {
     {25.8056640625, 51.611328125},
@@ -63,6 +64,7 @@ const Eigen::Vector2d hand_pixels[] = {
     {33.388576805348144, 66.77715361069629},
     {33.40396746388031, 66.80793492776063},
     {33.58657356398011, 114.08645971574519},
+    {36.070751953125, 72.04775390625},
 };
 
 TEST(CameraModel, PixelsEqualHandNumbers) {

@@ -125,6 +125,7 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
  *                                                      dv = 2 p2 u v + p1 (r2 + 2 v^2)
  *   full_opencv     fx, fy, cx, cy, k1, k2, p1, p2,    opencv with the factor (1 + k1 r2 + k2 r2^2
  *                   k3, k4, k5, k6                     + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+ *   brown           f, cx, cy, k1, k2, k3, p1, p2      full_opencv with fx = fy, k4 = k5 = k6 = 0
  *   fov             fx, fy, cx, cy, omega              fx d u + cx, fy d v + cy with
  *                                                      d = atan(2 r tan(omega / 2)) / (omega r)
  * and of fisheyes, with a = atan(r) the angle from the axis and s = (a / r) u, t = (a / r) v,
@@ -140,7 +141,8 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
  * Quotients by r and omega are their limits where these are 0. A point behind its camera gets what
  * the formula gives for its u and v, so a fisheye sees it where it sees the opposite direction;
  * summaries count such observations. fov's derivative by omega is 0 where omega is 0: a solve does
- * not move it from there. The numbers are COLMAP's plus 1. */
+ * not move it from there. Numbers from 1 to 11
+ * are COLMAP's plus 1. */
 enum {
     CLBA_CAMERA_SNAVELY = 0,
     CLBA_CAMERA_SIMPLE_PINHOLE = 1,
@@ -153,7 +155,8 @@ enum {
     CLBA_CAMERA_FOV = 8,
     CLBA_CAMERA_SIMPLE_RADIAL_FISHEYE = 9,
     CLBA_CAMERA_RADIAL_FISHEYE = 10,
-    CLBA_CAMERA_THIN_PRISM_FISHEYE = 11
+    CLBA_CAMERA_THIN_PRISM_FISHEYE = 11,
+    CLBA_CAMERA_BROWN = 12
 };
 CLBA_API int32_t clba_num_camera_models(void);
 CLBA_API const char* clba_camera_model_name(int32_t model);   /* NULL: no such model */

@@ -309,7 +309,8 @@ void write(const Reconstruction& reconstruction, const std::string& folder, bool
              folder, ": it holds a ", as_text ? "binary" : "text",
              " one, and readers would take one of the two; name another folder");
     std::optional<Reconstruction> converted;
-    if (has_snavely_cameras(reconstruction.problem)) converted = with_pixel_cameras(reconstruction);
+    if (!has_colmap_cameras_only(reconstruction.problem))
+        converted = with_colmap_cameras(reconstruction);
     const Model model = model_of(converted ? *converted : reconstruction);
     OutputFolder output(folder);
     (as_text ? colmap::write_text : colmap::write_binary)(model, output);

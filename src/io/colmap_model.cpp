@@ -26,12 +26,12 @@ constexpr const char* names[] = {"SIMPLE_PINHOLE",
 constexpr int32_t num_names = sizeof names / sizeof names[0];
 
 // clba's numbers are COLMAP's + 1; 0 is snavely, which COLMAP does not have.
-constexpr int32_t first_number = 1;
+constexpr int32_t first_number = 1, end_number = camera_thin_prism_fisheye + 1;
 
 [[noreturn]] void fail_unknown(const std::string& where, uint32_t camera,
                                const std::string& model) {
     std::string known;
-    for (int32_t number = first_number; number < num_camera_models; ++number)
+    for (int32_t number = first_number; number < end_number; ++number)
         known += (known.empty() ? "" : ", ") + model_name(number);
     fail(Status::format, where, ": camera ", camera, " has the model ", model, ", but clba has ",
          known, "; undistort its images, or fit one of these models");
@@ -68,12 +68,12 @@ std::string model_name(int32_t number) {
 }
 
 int32_t number_of_model_id(int32_t id, uint32_t camera, const std::string& where) {
-    if (id >= 0 && id < num_camera_models - first_number) return id + first_number;
+    if (id >= 0 && id < end_number - first_number) return id + first_number;
     fail_unknown(where, camera, id >= 0 && id < num_names ? names[id] : text("number ", id));
 }
 
 int32_t number_of_model_name(std::string_view name, uint32_t camera, const std::string& where) {
-    for (int32_t number = first_number; number < num_camera_models; ++number)
+    for (int32_t number = first_number; number < end_number; ++number)
         if (model_name(number) == name) return number;
     fail_unknown(where, camera, std::string(name));
 }

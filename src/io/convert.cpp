@@ -112,6 +112,22 @@ Reconstruction with_pixel_cameras(const Reconstruction& reconstruction) {
     return made;
 }
 
+Reconstruction with_colmap_cameras(const Reconstruction& reconstruction) {
+    Reconstruction made = with_pixel_cameras(reconstruction);
+    for (Camera& camera : made.problem.cameras)
+        if (camera.model == camera_brown) {
+            const auto& p = camera.params;
+            camera = {camera_full_opencv, {p[0], p[0], p[1], p[2], p[3], p[4], p[6], p[7], p[5]}};
+        }
+    return made;
+}
+
+bool has_colmap_cameras_only(const Problem& problem) {
+    return std::none_of(problem.cameras.begin(), problem.cameras.end(), [](const Camera& camera) {
+        return camera.model == camera_snavely || camera.model == camera_brown;
+    });
+}
+
 Problem with_snavely_cameras(const Problem& problem) {
     Problem made;
     made.points = problem.points;

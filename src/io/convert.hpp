@@ -12,6 +12,10 @@ namespace clba {
 // observations.
 Reconstruction with_pixel_cameras(const Reconstruction& reconstruction);
 
+// The same, and brown cameras, which COLMAP does not have, become full_opencv ones.
+Reconstruction with_colmap_cameras(const Reconstruction& reconstruction);
+bool has_colmap_cameras_only(const Problem& problem);
+
 // simple_pinhole, simple_radial and radial cameras become snavely ones, one an image, which loses
 // their principal points. Others are an error that names the camera.
 Problem with_snavely_cameras(const Problem& problem);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "problem/problem.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "base/error.hpp"
@@ -97,6 +98,31 @@ std::array<double, 9> rotation_matrix(const std::array<double, 4>& q) {
     return {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
             2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
             2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
+}
+
+std::array<double, 4> quaternion_from_matrix(const std::array<double, 9>& m) {
+    // Shepperd (1978): the largest of 4 w^2, 4 x^2, 4 y^2, 4 z^2 leads, so that nothing cancels.
+    const std::array<double, 4> squares{1 + m[0] + m[4] + m[8], 1 + m[0] - m[4] - m[8],
+                                        1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8]};
+    const double wx = m[7] - m[5], wy = m[2] - m[6], wz = m[3] - m[1];
+    const double xy = m[1] + m[3], xz = m[2] + m[6], yz = m[5] + m[7];
+    std::array<double, 4> q;
+    switch (std::max_element(squares.begin(), squares.end()) - squares.begin()) {
+        case 0:
+            q = {squares[0], wx, wy, wz};
+            break;
+        case 1:
+            q = {wx, squares[1], xy, xz};
+            break;
+        case 2:
+            q = {wy, xy, squares[2], yz};
+            break;
+        default:
+            q = {wz, xz, yz, squares[3]};
+    }
+    if (q[0] < 0)
+        for (double& value : q) value = -value;
+    return normalized(q);
 }
 
 std::array<double, 4> quaternion_from_rotation_vector(const std::array<double, 3>& w) {

@@ -74,6 +74,8 @@ Point camera_center(const Pose& pose);  // -R^T t
 
 // Row-major 3x3 rotation of a unit quaternion.
 std::array<double, 9> rotation_matrix(const std::array<double, 4>& quaternion);
+// The unit quaternion, w >= 0, of a rotation matrix that may be rounded.
+std::array<double, 4> quaternion_from_matrix(const std::array<double, 9>& matrix);
 // exp([w]_x) for a rotation vector w, and its inverse with an angle in [0, pi].
 std::array<double, 4> quaternion_from_rotation_vector(const std::array<double, 3>& w);
 std::array<double, 3> rotation_vector_from_quaternion(const std::array<double, 4>& quaternion);

@@ -265,6 +265,25 @@ struct thin_prism_fisheye {
     }
 };
 
+struct brown {
+    static constexpr int num_params = 8;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T &p1 = params[6], &p2 = params[7];
+        const T u = x / z, v = y / z;
+        const T uu = u * u, uv = u * v, vv = v * v;
+        const T r2 = uu + vv;
+        const T factor = 1.0 + r2 * (params[3] + r2 * (params[4] + r2 * params[5]));
+        const T du = 2.0 * p1 * uv + p2 * (r2 + 2.0 * uu);
+        const T dv = 2.0 * p2 * uv + p1 * (r2 + 2.0 * vv);
+        pixel_x = params[0] * (factor * u + du) + params[1];
+        pixel_y = params[0] * (factor * v + dv) + params[2];
+    }
+};
+
 #define CLBA_CAMERA_MODEL(name, number, size, param_names) \
     static_assert(name::num_params == size && camera_models[number].num_params == size);
 #include "problem/camera_models.def"

@@ -21,6 +21,7 @@ CameraModel = Literal[
     "simple_radial_fisheye",
     "radial_fisheye",
     "thin_prism_fisheye",
+    "brown",
 ]
 Loss = Literal["none", "huber", "soft_l1", "cauchy", "tukey"]
 LinearSolver = Literal["auto", "pcg_schur", "pcg_hessian", "explicit_schur", "direct_schur"]
