@@ -7,9 +7,13 @@
 
 #include "base/error.hpp"
 #include "io/bal.hpp"
+#include "io/bundler.hpp"
 #include "io/colmap.hpp"
 #include "io/convert.hpp"
 #include "io/losses.hpp"
+#include "io/nvm.hpp"
+#include "io/openmvg.hpp"
+#include "io/opensfm.hpp"
 #include "io/ply.hpp"
 #include "io/read_progress.hpp"
 #include "io/text_input.hpp"
@@ -25,6 +29,13 @@ bool recognises_bal(const Candidate& candidate) {
     return !candidate.is_folder && start != std::string::npos &&
            std::string_view("+-.0123456789").find(candidate.beginning[start]) !=
                std::string_view::npos;
+}
+
+// After white space.
+bool begins_with(const Candidate& candidate, std::string_view words) {
+    const size_t start = candidate.beginning.find_first_not_of(" \t\r\n");
+    return !candidate.is_folder && start != std::string::npos &&
+           candidate.beginning.compare(start, words.size(), words) == 0;
 }
 
 Reconstruction read_bal_reconstruction(const std::string& path) {
@@ -55,6 +66,23 @@ constexpr FileFormat formats[] = {
     {Format::colmap_text, "colmap_text", "a folder with cameras.txt, images.txt and points3D.txt",
      "", true, [](const Candidate& c) { return c.is_folder && has_colmap_text(c.path); },
      read_colmap_text, write_colmap_text, nullptr},
+    {Format::bundler, "bundler", "a text that begins with '# Bundle file v0.3'", ".out", false,
+     [](const Candidate& c) { return begins_with(c, "# Bundle file"); }, read_bundler,
+     write_bundler, losses_of_bundler},
+    {Format::nvm, "nvm", "a text that begins with NVM_V3", ".nvm", false,
+     [](const Candidate& c) { return begins_with(c, "NVM_V3"); }, read_nvm, write_nvm,
+     losses_of_nvm},
+    {Format::openmvg, "openmvg", "a JSON object with sfm_data_version", ".json", false,
+     [](const Candidate& c) {
+         return begins_with(c, "{") &&
+                c.beginning.find("\"sfm_data_version\"") != std::string::npos;
+     },
+     read_openmvg, write_openmvg, losses_of_openmvg},
+    {Format::opensfm, "opensfm",
+     "a folder with reconstruction.json and tracks.csv, or a JSON array of reconstructions", "",
+     true,
+     [](const Candidate& c) { return c.is_folder ? has_opensfm(c.path) : begins_with(c, "["); },
+     read_opensfm, write_opensfm, losses_of_opensfm},
     {Format::ply, "ply", "points and camera centres, to look at", ".ply", false, nullptr, nullptr,
      write_ply_reconstruction, nullptr},
 };

@@ -43,6 +43,11 @@ uint64_t digest(const Problem& problem) {
 
 void drop_mismatched(Reconstruction& reconstruction) {
     const Problem& problem = reconstruction.problem;
+    const auto differ = [](size_t kept, size_t rows) { return kept > 0 && kept != rows; };
+    if (differ(reconstruction.cameras.size(), problem.cameras.size()) ||
+        differ(reconstruction.images.size(), problem.images.size()) ||
+        differ(reconstruction.points.size(), problem.points.size()))
+        reconstruction.details = nullptr;
     if (reconstruction.cameras.size() != problem.cameras.size()) reconstruction.cameras.clear();
     if (reconstruction.images.size() != problem.images.size()) {
         reconstruction.images.clear();

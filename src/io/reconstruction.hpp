@@ -2,6 +2,7 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -63,6 +64,15 @@ struct Frame {
     std::vector<FrameDatum> data;
 };
 
+// What a file held that has no place in a Reconstruction, and its numbers before they were
+// converted. The writer of the same format uses it where it still fits the problem; others do not
+// know it.
+struct SourceDetails {
+    explicit SourceDetails(const char* its_format) : format(its_format) {}
+    virtual ~SourceDetails() = default;
+    const char* format;  // its name
+};
+
 // What reconstruction files hold: a problem, and what a solver has no use for but a file written
 // back must keep. Each vector is empty or has one row a camera, image, point or observation.
 struct Reconstruction {
@@ -70,14 +80,15 @@ struct Reconstruction {
     std::vector<CameraInfo> cameras;
     std::vector<ImageInfo> images;
     std::vector<PointInfo> points;
-    std::vector<int32_t> observation_features;  // index of the feature among those of its image
-    std::vector<Feature> unmatched;             // any number, by image, then index
-    bool has_frames = false;                    // the file has rigs and frames, even if none
-    std::vector<Rig> rigs;                      // any number
-    std::vector<Frame> frames;                  // any number
-    std::vector<Pose> poses_read;               // of images; quaternions need not have length 1
-    uint64_t digest_read = 0;                   // digest() when it was read; 0: never
-    std::vector<std::string> notices;           // what the problem cannot hold, for people
+    std::vector<int32_t> observation_features;     // index of the feature among those of its image
+    std::vector<Feature> unmatched;                // any number, by image, then index
+    bool has_frames = false;                       // the file has rigs and frames, even if none
+    std::vector<Rig> rigs;                         // any number
+    std::vector<Frame> frames;                     // any number
+    std::vector<Pose> poses_read;                  // of images; quaternions need not have length 1
+    uint64_t digest_read = 0;                      // digest() when it was read; 0: never
+    std::vector<std::string> notices;              // what the problem cannot hold, for people
+    std::shared_ptr<const SourceDetails> details;  // may be null
 };
 
 // Of cameras, images and points: what was read with them and follows from them (errors of points,
