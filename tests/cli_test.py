@@ -95,6 +95,49 @@ class Usage(CliTest):
         self.refused(USAGE, "solve", file, "-o", "x", "--ply", "./x", mentions="x")
 
 
+class Filter(CliTest):
+    def test_outliers_go(self):
+        truth = "truth.txt"
+        self.scene("--outliers", "0.1", "--truth", truth)
+        done = self.clba("filter", truth, "kept.txt", "--max-error", "4", "--min-angle", "1.5",
+                         "--json", "counts.json")
+        counts = self.summary("counts.json")
+        self.assertGreater(counts["num_large_error"], 30)
+        self.assertRegex(done.stdout, rf"Observations removed +{counts['num_observations_removed']}")
+        before, kept = ((self.folder / name).read_text().split()[2] for name in (truth, "kept.txt"))
+        self.assertEqual(int(before) - int(kept), counts["num_observations_removed"])
+        self.clba("filter", "kept.txt", "kept.txt", "--json", "counts.json", "--quiet")
+        self.assertEqual(self.summary("counts.json")["num_observations_removed"], 0)
+
+    def test_rules_and_points_can_be_kept(self):
+        file = self.scene("--outliers", "0.1")
+        self.clba("filter", file, "out.txt", "--max-error", "1e9", "--min-angle", "0",
+                  "--min-views", "0", "--keep-behind", "--keep-points", "--json", "counts.json")
+        self.assertEqual(set(self.summary("counts.json").values()), {0})
+        sizes = [(self.folder / name).read_text().split()[:3] for name in (file, "out.txt")]
+        self.assertEqual(*sizes)
+
+    def test_bad_arguments(self):
+        file = self.scene()
+        self.refused(USAGE, "filter", file, "out.txt", "--min-angle", "180", mentions="180")
+        self.refused(FILE, "filter", "absent.txt", "out.txt", mentions="absent.txt")
+        for arguments in ([file], [file, "out.txt", "--max-error", "0"]):
+            self.clba("filter", *arguments, exit_code=USAGE)
+
+    def test_solve_filter_solve(self):
+        file = self.scene("--outliers", "0.05")
+        summary = self.solve(file, "--loss", "cauchy", "--filter-rounds", "2", "-o", "out.txt")
+        self.assertIn(len(summary["filter"]), (1, 2))
+        removed = sum(counts["num_observations_removed"] for counts in summary["filter"])
+        self.assertGreater(removed, 20)
+        given = int((self.folder / file).read_text().split()[2])
+        self.assertEqual(summary["observations"], given - removed)
+        self.assertLess(summary["median_residual"], 1)
+        self.clba("solve", file, "--filter-rounds", "1", "--verify", exit_code=USAGE)
+        self.refused(USAGE, "solve", file, "--filter-rounds", "1", "--filter-max-error", "1e-9",
+                     "--quiet", "-o", "none.txt", mentions="all observations")
+
+
 class Devices(CliTest):
     def test_list(self):
         self.assertRegex(self.clba("devices").stdout, r"(?m)^0: .+\n   platform")

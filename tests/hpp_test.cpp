@@ -361,6 +361,25 @@ TEST_F(Solving, TheGradientIsTheProduct) {
     EXPECT_EQ(problem.offsets().intrinsics[0], 6);
 }
 
+TEST(Filtering, ReportsWhatWent) {
+    clba::Problem problem = small_scene().truth;
+    const std::vector<double> errors = problem.reprojection_errors();
+    clba::FilterOptions options;
+    options.max_reprojection_error = *std::max_element(errors.begin(), errors.end()) * 0.999;
+    options.min_num_views = 0;
+    options.min_triangulation_angle = 0;
+    const clba::Removed removed = problem.filter(options);
+    EXPECT_EQ(removed.counts.num_large_error, 1);
+    const auto worst = std::max_element(errors.begin(), errors.end()) - errors.begin();
+    EXPECT_EQ(removed.observation_rows[static_cast<size_t>(worst)], -1);
+    EXPECT_EQ(problem.info().num_observations, static_cast<int64_t>(errors.size()) - 1);
+
+    std::vector<int32_t> flags(errors.size() - 1, 1);
+    const clba::Removed rest = problem.remove_observations(flags, true);
+    EXPECT_EQ(rest.counts.num_images_unobserved, problem.info().num_images);
+    EXPECT_EQ(problem.info().num_points, 0);
+}
+
 TEST_F(Solving, StepsMovePoints) {
     const clba::ProblemInfo info = problem.info();
     const std::vector<Triple> before = problem.points();

@@ -232,7 +232,9 @@ CLBA_API clba_status clba_problem_set_point_uncertainties(clba_problem* problem,
  *   huber     s <= a^2: s, else 2 a sqrt(s) - a^2
  *   soft_l1   2 a^2 (sqrt(1 + s / a^2) - 1)
  *   cauchy    a^2 log(1 + s / a^2)
- *   tukey     s <= a^2: a^2 / 3 (1 - (1 - s / a^2)^3), else a^2 / 3 */
+ *   tukey     s <= a^2: a^2 / 3 (1 - (1 - s / a^2)^3), else a^2 / 3
+ * As rho'' <= 0 for all of them, r and J scaled by sqrt(rho') are what Ceres' corrector (Triggs)
+ * makes of them: it adds its second-order term where rho'' > 0 alone. */
 enum {
     CLBA_LOSS_NONE = 0,
     CLBA_LOSS_HUBER = 1,
@@ -485,6 +487,61 @@ CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* 
                                            const double* x, double* y);
 /* Moves the state by step, num_parameters numbers; constant parameters stay. */
 CLBA_API clba_status clba_problem_apply_step(clba_problem* problem, const double* step);
+
+/* ---- Removing outliers ----------------------------------------------------------------------- */
+
+enum {
+    CLBA_ERROR_UNIT_PIXELS = 1, /* |projection - observation| */
+    CLBA_ERROR_UNIT_SIGMAS = 2  /* whitened by the covariances: |L^-1 (projection - observation)| */
+};
+CLBA_API const char* clba_error_unit_name(int32_t unit); /* NULL: no such unit */
+/* Reprojection errors of observations [first, first + count), without the loss; on the host. */
+CLBA_API clba_status clba_problem_get_reprojection_errors(const clba_problem* problem, int32_t unit,
+                                                          int64_t first, int64_t count,
+                                                          double* errors, size_t stride);
+
+/* Which observations are outliers. A rule looks at what those before it left; the last two take all
+ * observations of a point, and leave constant points alone. */
+typedef struct clba_filter_options {
+    uint32_t struct_size;
+    int32_t error_unit;             /* CLBA_ERROR_UNIT_PIXELS */
+    int32_t remove_behind;          /* 1: points behind their camera, or in its own plane */
+    int32_t min_num_views;          /* >= 0; points that fewer images see; 2 */
+    double max_reprojection_error;  /* > 0; may be infinite; larger errors; 4 */
+    double min_triangulation_angle; /* degrees, in [0, 180); points whose largest angle between two
+                                       rays is smaller; 1.5 */
+    int32_t remove_points; /* 1: remove points that are left without observations; 0 keeps them */
+    int32_t reserved;      /* 0 */
+} clba_filter_options;
+CLBA_API clba_status clba_filter_options_init(clba_filter_options* options, size_t struct_size);
+
+/* What was removed. Set struct_size, and the arrays to memory of the caller's or NULL. */
+typedef struct clba_filter_report {
+    uint32_t struct_size;
+    int32_t num_images_unobserved;    /* images that lost all their observations */
+    int64_t num_observations_removed; /* the sum of the next four, or what the caller named */
+    int64_t num_behind;
+    int64_t num_large_error;
+    int64_t num_few_views;
+    int64_t num_small_angle;
+    int32_t num_points_few_views; /* points that the last two rules took */
+    int32_t num_points_small_angle;
+    int32_t num_points_unobserved; /* points that lost all their observations */
+    int32_t num_points_removed;    /* without observations, also those that had none before */
+    int64_t* observation_rows;     /* out, one an observation before: its row now, -1 if removed */
+    int32_t* point_rows;           /* out, one a point before: its row now, -1 if removed */
+    int32_t* unobserved_images;    /* out, num_images: 1 if the image lost all its observations */
+} clba_filter_report;
+
+/* Removes outliers at the present state, with their covariances; the order of the rest stays.
+ * options NULL: defaults. report may be NULL. Computed on the host. */
+CLBA_API clba_status clba_problem_filter(clba_problem* problem, const clba_filter_options* options,
+                                         clba_filter_report* report);
+/* Removes the observations whose flag is not 0; one flag an observation. */
+CLBA_API clba_status clba_problem_remove_observations(clba_problem* problem, int64_t count,
+                                                      const int32_t* flags, size_t stride,
+                                                      int32_t remove_points,
+                                                      clba_filter_report* report);
 
 /* ---- Comparing ------------------------------------------------------------------------------- */
 

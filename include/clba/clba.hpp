@@ -162,6 +162,9 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
+inline std::string_view error_unit_name(int32_t unit) {
+    return detail::name(clba_error_unit_name, unit, "error unit");
+}
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
 }
@@ -259,6 +262,11 @@ struct SolverOptions : clba_solver_options {
 struct SceneOptions : clba_scene_options {
     SceneOptions() : clba_scene_options() {
         check(clba_scene_options_init(this, sizeof(clba_scene_options)));
+    }
+};
+struct FilterOptions : clba_filter_options {
+    FilterOptions() : clba_filter_options() {
+        check(clba_filter_options_init(this, sizeof(clba_filter_options)));
     }
 };
 // What evaluate() is to compute, and where to: pointers left NULL are skipped.
@@ -384,6 +392,14 @@ struct Evaluation {
     double cost = 0;
     int64_t num_behind = 0, num_singular = 0;
     std::vector<double> residuals, gradient, jacobian_images, jacobian_points;
+};
+
+// What was removed; counts are those of clba_filter_report.
+struct Removed {
+    clba_filter_report counts;               // without its arrays
+    std::vector<int64_t> observation_rows;   // of each row before: its row now, -1 if removed
+    std::vector<int32_t> point_rows;         // likewise
+    std::vector<int32_t> unobserved_images;  // 1: the image lost all its observations
 };
 
 // Images, cameras, points and observations; used by one thread at a time.
@@ -550,6 +566,26 @@ public:
                                             xy.data(), xy.stride()));
     }
 
+    // -- Removing outliers
+
+    std::vector<double> reprojection_errors(int32_t unit = CLBA_ERROR_UNIT_PIXELS) const {
+        std::vector<double> errors(static_cast<size_t>(info().num_observations));
+        check(clba_problem_get_reprojection_errors(
+            object_, unit, 0, static_cast<int64_t>(errors.size()), errors.data(), 0));
+        return errors;
+    }
+    Removed filter(const FilterOptions& options = {}) {
+        return remove([&](clba_filter_report& report) {
+            return clba_problem_filter(object_, &options, &report);
+        });
+    }
+    Removed remove_observations(Rows<const int32_t, 1> flags, bool remove_points = false) {
+        return remove([&](clba_filter_report& report) {
+            return clba_problem_remove_observations(object_, flags.count(), flags.data(),
+                                                    flags.stride(), remove_points, &report);
+        });
+    }
+
     // -- Solving
 
     // on_iteration, if there is one, takes the place of the options' C callback.
@@ -643,6 +679,22 @@ private:
             }
         }
     };
+
+    template <class Call>
+    Removed remove(Call&& call) {
+        const ProblemInfo before = info();
+        Removed removed{detail::sized<clba_filter_report>(),
+                        std::vector<int64_t>(static_cast<size_t>(before.num_observations)),
+                        std::vector<int32_t>(static_cast<size_t>(before.num_points)),
+                        std::vector<int32_t>(static_cast<size_t>(before.num_images))};
+        removed.counts.observation_rows = removed.observation_rows.data();
+        removed.counts.point_rows = removed.point_rows.data();
+        removed.counts.unobserved_images = removed.unobserved_images.data();
+        check(call(removed.counts));
+        removed.counts.observation_rows = nullptr;
+        removed.counts.point_rows = removed.counts.unobserved_images = nullptr;
+        return removed;
+    }
 
     static int32_t value(Rows<const int32_t, 1> rows, int64_t i) {
         const size_t stride = rows.stride() ? rows.stride() : sizeof(int32_t);

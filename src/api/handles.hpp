@@ -69,6 +69,30 @@ void require_pointer(Pointer* pointer, const char* name) {
     require(pointer != nullptr, name, " is NULL, but it must not be");
 }
 
+inline void require_count(int64_t count, int64_t expected, const char* rows) {
+    require(count == expected, "count = ", count, ", but there are ", expected, " ", rows);
+}
+
+inline void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
+    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
+            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
+}
+
+// Runs a change that checks everything before it touches the problem. The mirror on the device goes
+// unless the change returns false: only the state has changed.
+template <class Change>
+clba_status changed(clba_problem* handle, Change&& change) {
+    return guarded([&] {
+        require_pointer(handle, "problem");
+        if constexpr (std::is_void_v<decltype(change(handle->problem))>) {
+            change(handle->problem);
+            handle->mirror.reset();
+        } else if (change(handle->problem)) {
+            handle->mirror.reset();
+        }
+    });
+}
+
 // The caller's struct as this version knows it: what the caller's version lacks has its default,
 // and what this version does not know must be 0.
 template <class Struct>

@@ -13,34 +13,10 @@
 namespace clba {
 namespace {
 
-void require_count(int64_t count, int64_t expected, const char* rows) {
-    require(count == expected, "count = ", count, ", but there are ", expected, " ", rows);
-}
-
-void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
-    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
-            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
-}
-
 // Drops what belongs to observations when images or points are replaced by another number of them.
 void drop_observations(Problem& problem) {
     problem.observations.clear();
     problem.whitening.clear();
-}
-
-// Runs a change that checks everything before it touches the problem. The mirror on the device goes
-// unless the change returns false: only the state has changed.
-template <class Change>
-clba_status changed(clba_problem* handle, Change&& change) {
-    return guarded([&] {
-        require_pointer(handle, "problem");
-        if constexpr (std::is_void_v<decltype(change(handle->problem))>) {
-            change(handle->problem);
-            handle->mirror.reset();
-        } else if (change(handle->problem)) {
-            handle->mirror.reset();
-        }
-    });
 }
 
 clba_scene_options default_scene_options() {

@@ -9,6 +9,7 @@ namespace cli {
 void add_devices(CLI::App& program);
 void add_info(CLI::App& program);
 void add_generate(CLI::App& program);
+void add_filter(CLI::App& program);
 void add_solve(CLI::App& program, int& result);
 
 }  // namespace cli

@@ -30,6 +30,7 @@ int main(int argc, char** argv) try {
     cli::add_devices(program);
     cli::add_info(program);
     cli::add_generate(program);
+    cli::add_filter(program);
     cli::add_solve(program, result);
     try {
         program.parse(argc, argv);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "cli/commands.hpp"
+#include "cli/filter.hpp"
 #include "cli/handles.hpp"
 #include "cli/interrupt.hpp"
 #include "cli/options.hpp"
@@ -29,6 +30,8 @@ struct SolveArguments {
     std::string device;
     int32_t loss = CLBA_LOSS_NONE;
     double loss_scale = 1;
+    clba_filter_options filter = filter_defaults();
+    int32_t filter_rounds = 0;
     bool verify = false;
     bool quiet = false;
 };
@@ -95,6 +98,27 @@ void write_json(const std::string& path, const Json& json) {
         write_text(path, json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n');
 }
 
+// Solves; then, for as many rounds as are wanted and find outliers, removes these and solves again.
+Result solve_in_rounds(clba_problem* problem, clba_context* context,
+                       const SolveArguments& arguments, Json& filtered) {
+    Result result = run_solver(problem, context, arguments.options, arguments.quiet);
+    for (int32_t round = 0; round < arguments.filter_rounds; ++round) {
+        if (summary_of(result.get()).termination == CLBA_FAILURE || interrupted()) break;
+        const clba_filter_report report = filter(problem, arguments.filter);
+        filtered.push_back(filter_json(report));
+        if (!arguments.quiet) {
+            std::printf("\n");
+            print_filter_report(report);
+            std::printf("\n");
+        }
+        if (report.num_observations_removed == 0) break;
+        if (info_of(problem).num_observations == 0)
+            throw Failure(ExitCode::usage, "the filter removed all observations; let it keep more");
+        result = run_solver(problem, context, arguments.options, arguments.quiet);
+    }
+    return result;
+}
+
 ExitCode exit_code_of(const clba_summary& summary) {
     if (summary.termination == CLBA_FAILURE) return ExitCode::not_solved;
     return interrupted() ? ExitCode::interrupted : ExitCode::ok;
@@ -107,12 +131,13 @@ ExitCode solve(const SolveArguments& arguments) {
     // Read now, because the output may replace the file.
     const Problem start = arguments.verify ? read_start(arguments) : nullptr;
 
-    const Result result =
-        run_solver(problem.get(), context.get(), arguments.options, arguments.quiet);
+    Json filtered = Json::array();
+    const Result result = solve_in_rounds(problem.get(), context.get(), arguments, filtered);
     write_states(problem.get(), arguments);
     const double median =
         median_residual(problem.get(), context.get(), summary_of(result.get()).precision);
     Json json = summary_json(arguments, problem.get(), result.get(), median);
+    if (arguments.filter_rounds > 0) json["filter"] = filtered;
     write_json(arguments.json, json);
     if (!arguments.quiet)
         std::printf("\n%sMedian residual              %.4g pixels\n",
@@ -200,6 +225,16 @@ void add_limits(CLI::App& command, clba_solver_options& options) {
         ->capture_default_str();
 }
 
+void add_filter_rounds(CLI::App& command, SolveArguments& arguments) {
+    CLI::Option* rounds = command
+                              .add_option("--filter-rounds", arguments.filter_rounds,
+                                          "how often at most to remove outliers and solve again")
+                              ->check(non_negative_number)
+                              ->capture_default_str();
+    rounds->excludes(command.get_option("--verify"));
+    add_filter_options(command, arguments.filter, "filter-");
+}
+
 }  // namespace
 
 void add_solve(CLI::App& program, int& result) {
@@ -211,6 +246,7 @@ void add_solve(CLI::App& program, int& result) {
     add_output_options(*command, *arguments);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);
+    add_filter_rounds(*command, *arguments);
     command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });
 }
 

@@ -176,6 +176,20 @@ Cost residual(const Problem& problem, double* residuals) {
     return total;
 }
 
+void visit_errors(const Problem& problem, int64_t first, int64_t count,
+                  const std::function<void(int64_t, const ReprojectionError&)>& visit) {
+    constexpr int64_t grain = 1 << 12;
+    const auto rotations = image_rotations(problem);
+    parallel_ranges(count, grain, [&](int64_t begin, int64_t end) {
+        for (int64_t i = first + begin; i < first + end; ++i)
+            measure(problem, rotations, i, [&](const Measured& m) {
+                const Observation& o = problem.observations[i];
+                visit(i, {std::hypot(m.projection.pixel.x() - o.x, m.projection.pixel.y() - o.y),
+                          m.whitened.norm(), m.projection.is_behind, m.projection.is_singular});
+            });
+    });
+}
+
 Jacobian jacobian(const Problem& problem, const ParameterLayout& layout) {
     const auto rotations = image_rotations(problem);
     const auto num_observations = problem.observations.size();

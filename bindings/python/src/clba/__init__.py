@@ -23,6 +23,7 @@ from clba._errors import (
     OutOfMemoryError,
 )
 from clba._evaluation import Evaluation
+from clba._filter import FilterReport
 from clba._names import PARAM_NAMES
 from clba._problem import Comparison, Problem
 from clba._solve import solve
@@ -38,6 +39,7 @@ __all__ = [
     "Error",
     "Evaluation",
     "FileError",
+    "FilterReport",
     "FormatError",
     "InternalError",
     "InvalidArgumentError",

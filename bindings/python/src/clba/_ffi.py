@@ -214,6 +214,42 @@ class Evaluation(Structure):
     ]
 
 
+class FilterOptions(Structure):
+    """clba_filter_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("error_unit", c_int32),
+        ("remove_behind", c_int32),
+        ("min_num_views", c_int32),
+        ("max_reprojection_error", c_double),
+        ("min_triangulation_angle", c_double),
+        ("remove_points", c_int32),
+        ("reserved", c_int32),
+    ]
+
+
+class FilterReport(Structure):
+    """clba_filter_report"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("num_images_unobserved", c_int32),
+        ("num_observations_removed", c_int64),
+        ("num_behind", c_int64),
+        ("num_large_error", c_int64),
+        ("num_few_views", c_int64),
+        ("num_small_angle", c_int64),
+        ("num_points_few_views", c_int32),
+        ("num_points_small_angle", c_int32),
+        ("num_points_unobserved", c_int32),
+        ("num_points_removed", c_int32),
+        ("observation_rows", POINTER(c_int64)),
+        ("point_rows", POINTER(c_int32)),
+        ("unobserved_images", POINTER(c_int32)),
+    ]
+
+
 class Comparison(Structure):
     """clba_comparison"""
 
@@ -258,6 +294,8 @@ STRUCTS: dict[str, type[Structure]] = {
         SolverOptions,
         Summary,
         Evaluation,
+        FilterOptions,
+        FilterReport,
         Comparison,
         SceneOptions,
     )
@@ -352,6 +390,20 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
         [_problem, _context, c_int32, c_int32, c_double, _doubles, _doubles],
     ),
     "clba_problem_apply_step": (_status, [_problem, _doubles]),
+    "clba_error_unit_name": (c_char_p, [c_int32]),
+    "clba_problem_get_reprojection_errors": (
+        _status,
+        [_problem, c_int32, c_int64, c_int64, _doubles, c_size_t],
+    ),
+    "clba_filter_options_init": (_status, [POINTER(FilterOptions), c_size_t]),
+    "clba_problem_filter": (
+        _status,
+        [_problem, POINTER(FilterOptions), POINTER(FilterReport)],
+    ),
+    "clba_problem_remove_observations": (
+        _status,
+        [_problem, c_int64, _int32s, c_size_t, c_int32, POINTER(FilterReport)],
+    ),
     "clba_problem_compare": (_status, [_problem, _problem, POINTER(Comparison)]),
     "clba_problem_read_bal": (_status, [c_char_p, POINTER(_problem)]),
     "clba_problem_write_bal": (_status, [_problem, c_char_p]),

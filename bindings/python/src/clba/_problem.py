@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clba import _arrays, _evaluation, _ffi, _names
+from clba import _arrays, _evaluation, _ffi, _filter, _names
 from clba._arrays import Doubles, Int32s, pointer, stride
 from clba._devices import Context, context_of
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
+from clba._filter import FilterReport
 from clba._summary import Summary
 
 if TYPE_CHECKING:
@@ -566,6 +567,94 @@ class Problem:
                     function(handle, len(rows), pointer(rows, c_double), stride(rows)),
                     values=name,
                 )
+
+    # ---- Removing outliers ---------------------------------------------------------------------
+
+    def reprojection_errors(self, unit: _names.ErrorUnit = "pixels") -> Doubles:
+        """(num_observations,) lengths of the residuals at the current state, without the loss.
+
+        Args:
+            unit: "pixels", or "sigmas": whitened by the covariances.
+        """
+        value = _names.value_of(_names.ERROR_UNITS, unit, "unit")
+        with self._use() as handle:
+            errors = np.empty(_info(handle).num_observations)
+            check(
+                lib.clba_problem_get_reprojection_errors(
+                    handle, value, 0, len(errors), pointer(errors, c_double), 0
+                )
+            )
+            return errors
+
+    def filter(
+        self,
+        *,
+        max_reprojection_error: float = 4.0,
+        min_triangulation_angle: float = 1.5,
+        min_num_views: int = 2,
+        remove_behind: bool = True,
+        remove_points: bool = False,
+        unit: _names.ErrorUnit = "pixels",
+    ) -> FilterReport:
+        """Removes outliers at the current state, with their covariances.
+
+        A rule looks at what those before it left, in the order of the arguments' description.
+
+        Args:
+            remove_behind: observations of points behind their camera, or in its own plane.
+            max_reprojection_error: observations with a larger error; may be infinite.
+            unit: of that error, "pixels" or "sigmas".
+            min_num_views: all observations of points that fewer images see.
+            min_triangulation_angle: all observations of points whose largest angle between two
+                rays is smaller, in degrees.
+            remove_points: remove the points that are left without observations, too.
+        """
+        options = _filter.options(
+            error_unit=_names.value_of(_names.ERROR_UNITS, unit, "unit"),
+            max_reprojection_error=max_reprojection_error,
+            min_triangulation_angle=min_triangulation_angle,
+            min_num_views=min_num_views,
+            remove_behind=remove_behind,
+            remove_points=remove_points,
+        )
+        with self._use() as handle:
+            report = _filter.run(
+                _info(handle),
+                lambda to: lib.clba_problem_filter(handle, byref(options), to),
+            )
+            self._forget_points(report)
+            return report
+
+    def remove_observations(
+        self, observations: npt.ArrayLike, *, remove_points: bool = False
+    ) -> FilterReport:
+        """Removes observations of the caller's choice, with their covariances.
+
+        Args:
+            observations: a boolean array (num_observations,), or indices.
+            remove_points: remove the points that are left without observations, too.
+        """
+        with self._use() as handle:
+            info = _info(handle)
+            mask = _arrays.mask(observations, info.num_observations, "observations")
+            flags = mask.astype(np.int32)
+            report = _filter.run(
+                info,
+                lambda to: lib.clba_problem_remove_observations(
+                    handle, len(flags), pointer(flags, c_int32), 0, bool(remove_points), to
+                ),
+            )
+            self._forget_points(report)
+            return report
+
+    def _forget_points(self, report: FilterReport) -> None:
+        """Keeps the rows of a reconstruction's points in step with a removal."""
+        if self._colmap_ids is not None:
+            cameras, images, points = self._colmap_ids
+            kept = [
+                point for point, row in zip(points, report.point_rows, strict=True) if row >= 0
+            ]
+            self._colmap_ids = (cameras, images, kept)
 
     # ---- Evaluating ----------------------------------------------------------------------------
 
