@@ -138,6 +138,25 @@ class Filter(CliTest):
                      "--quiet", "-o", "none.txt", mentions="all observations")
 
 
+class Checkpoints(CliTest):
+    def test_goes_on_to_the_same_file(self):
+        file = self.scene("--outliers", "0.02")
+        options = ["--loss", "huber", "--function-tolerance", "1e-9"]
+        whole = self.solve(file, *options, "-o", "whole.txt")
+        self.solve(file, *options, "-o", "part.txt", "--max-iterations", "2", "--checkpoint", "c")
+        resumed = self.solve(file, *options, "-o", "resumed.txt", "--resume", "c")
+        self.assertEqual(resumed["resumed_iteration"], 2)
+        self.assertEqual(len(resumed["iterations"]), len(whole["iterations"]))
+        texts = [(self.folder / name).read_text() for name in ("whole.txt", "resumed.txt")]
+        self.assertEqual(*texts)
+        self.refused(FILE, "solve", file, *options, "--resume", "whole.txt", "--quiet", "-o", "x",
+                     mentions="no checkpoint")
+        self.refused(USAGE, "solve", file, "--resume", "c", "--quiet", "-o", "x",
+                     mentions="another problem")
+        self.refused(FILE, "solve", file, "--checkpoint", "absent/c", mentions="absent")
+        self.clba("solve", file, "--checkpoint", "c", "--filter-rounds", "1", exit_code=USAGE)
+
+
 class Devices(CliTest):
     def test_list(self):
         self.assertRegex(self.clba("devices").stdout, r"(?m)^0: .+\n   platform")

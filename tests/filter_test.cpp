@@ -112,21 +112,21 @@ TEST(ReprojectionErrors, InPixelsAndInSigmas) {
     std::vector<double> sigmas(num_sightings);
     std::iota(sigmas.begin(), sigmas.end(), 1.0);
     EXPECT_OK(clba_problem_set_sigmas(problem.get(), num_sightings, sigmas.data(), 0));
-    const std::vector<double> pixels = errors_of(problem, CLBA_ERROR_UNIT_PIXELS);
-    const std::vector<double> whitened = errors_of(problem, CLBA_ERROR_UNIT_SIGMAS);
+    const std::vector<double> pixels = errors_of(problem, CLBA_UNIT_PIXELS);
+    const std::vector<double> whitened = errors_of(problem, CLBA_UNIT_SIGMAS);
     for (size_t i = 0; i < num_sightings; ++i) {
         EXPECT_NEAR(pixels[i], std::abs(sightings[i].error), 1e-12) << i;
         EXPECT_NEAR(whitened[i], std::abs(sightings[i].error) / sigmas[i], 1e-12) << i;
     }
     double two[4] = {-1, -1, -1, -1};  // every other number
-    EXPECT_OK(clba_problem_get_reprojection_errors(problem.get(), CLBA_ERROR_UNIT_PIXELS, 4, 2, two,
+    EXPECT_OK(clba_problem_get_reprojection_errors(problem.get(), CLBA_UNIT_PIXELS, 4, 2, two,
                                                    2 * sizeof(double)));
     EXPECT_NEAR(two[0], 10, 1e-12);
     EXPECT_EQ(two[1], -1);
     EXPECT_NEAR(two[2], 3, 1e-12);
     EXPECT_TRUE(refused(clba_problem_get_reprojection_errors(problem.get(), 3, 0, 1, two, 0),
                         {"unit = 3", "1 and 2"}));
-    EXPECT_TRUE(refused(clba_problem_get_reprojection_errors(problem.get(), CLBA_ERROR_UNIT_PIXELS,
+    EXPECT_TRUE(refused(clba_problem_get_reprojection_errors(problem.get(), CLBA_UNIT_PIXELS,
                                                              num_sightings, 1, two, 0),
                         {"17", "observations"}));
 }
@@ -156,8 +156,8 @@ TEST(Filter, CountsEachReasonAndKeepsTheRest) {
     EXPECT_EQ(info_of(problem).num_observations, 6);
     EXPECT_EQ(data_of(problem).points,
               (std::vector<int32_t>{fine, fine, fine, wrong_once, wrong_once, fixed}));
-    EXPECT_NEAR(errors_of(problem, CLBA_ERROR_UNIT_PIXELS)[4], 3, 1e-12);
-    EXPECT_NEAR(errors_of(problem, CLBA_ERROR_UNIT_SIGMAS)[4], 3 / sigmas[5], 1e-12);
+    EXPECT_NEAR(errors_of(problem, CLBA_UNIT_PIXELS)[4], 3, 1e-12);
+    EXPECT_NEAR(errors_of(problem, CLBA_UNIT_SIGMAS)[4], 3 / sigmas[5], 1e-12);
 
     Report again(problem);
     ASSERT_OK(clba_problem_filter(problem.get(), nullptr, &again.counts));
@@ -219,7 +219,7 @@ TEST(Filter, MeasuresInSigmas) {
     const std::vector<double> sigmas(num_sightings, 5);
     EXPECT_OK(clba_problem_set_sigmas(problem.get(), num_sightings, sigmas.data(), 0));
     clba_filter_options options = filter_options();
-    options.error_unit = CLBA_ERROR_UNIT_SIGMAS;
+    options.error_unit = CLBA_UNIT_SIGMAS;
     options.max_reprojection_error = 2.1;
     Report report(problem);
     ASSERT_OK(clba_problem_filter(problem.get(), &options, &report.counts));
@@ -268,7 +268,7 @@ TEST(Filter, OutliersOfAGeneratedSceneGo) {
     const Scene scene = generate(0.1, 8, 60);
     const Context context = make_context();
     const Data before = data_of(scene.truth);
-    const std::vector<double> errors = errors_of(scene.truth, CLBA_ERROR_UNIT_PIXELS);
+    const std::vector<double> errors = errors_of(scene.truth, CLBA_UNIT_PIXELS);
     const auto num_large =
         std::count_if(errors.begin(), errors.end(), [](double e) { return e > 4; });
     ASSERT_GT(num_large, 20);

@@ -29,9 +29,10 @@
 extern "C" {
 #endif
 
-typedef struct clba_context clba_context; /* one device and the kernels built for it */
-typedef struct clba_problem clba_problem; /* images, cameras, points and observations */
-typedef struct clba_result clba_result;   /* what a solve did */
+typedef struct clba_context clba_context;           /* one device and the kernels built for it */
+typedef struct clba_problem clba_problem;           /* images, cameras, points and observations */
+typedef struct clba_result clba_result;             /* what a solve did */
+typedef struct clba_cancellation clba_cancellation; /* a way to end solves from elsewhere */
 
 /* ---- Status ---------------------------------------------------------------------------------- */
 
@@ -297,7 +298,7 @@ typedef struct clba_iteration {
     int32_t step_is_accepted;         /* 1: the cost fell and the step was taken */
     int32_t step_is_valid;            /* 0: the linear solver failed or the cost was not finite */
     int32_t linear_solver_iterations; /* 1 for direct_schur */
-    int32_t reserved;                 /* 0 */
+    int32_t remaining_iterations;     /* an estimate, see remaining_seconds; -1: unknown */
     int64_t num_behind;               /* observations of points behind their camera */
     double cost;        /* of the state kept: 1/2 sum rho(|r|^2), squared pixels (or sigmas) */
     double cost_change; /* cost before the step minus cost after it; > 0 is a decrease */
@@ -305,13 +306,31 @@ typedef struct clba_iteration {
     double step_norm;           /* Euclidean, over all free parameters */
     double gain_ratio;          /* cost_change / decrease predicted by the linearised model */
     double trust_region_radius; /* 1 / lambda, after this iteration's update */
-    double seconds;             /* wall time since the solve was entered */
+    double seconds;             /* wall time since the solve was entered; after a resumption,
+                                   also that of the solves before */
+    /* Estimates, -1 while unknown: before two accepted steps. Relative changes of the cost are
+     * taken to fall on as they did in the last few steps, until function_tolerance ends the solve;
+     * where they do not fall, the limit on iterations alone counts. Seconds are those of as many
+     * iterations as the last few took on average; no more than the budgets are left. */
+    double remaining_seconds;
 } clba_iteration;
 
 /* Called after each iteration, on the thread inside clba_problem_solve(). Return 0 to go on; any
  * other value stops the solve, which keeps the best state found. Must not throw or longjmp, nor
  * touch the problem being solved. */
 typedef int32_t (*clba_iteration_fn)(const clba_iteration* row, void* user_data);
+
+/* Ends solves from another thread, or from a signal handler. A request stays until it is reset: all
+ * solves whose options name the object end as soon as they look, which conjugate gradients do every
+ * few iterations, factorisations between parts, and everything else between its phases. A solve
+ * keeps what it needs of it. Request, reset and is_requested may be called from any thread at any
+ * time, and request from a signal handler. */
+CLBA_API clba_status clba_cancellation_create(clba_cancellation** cancellation);
+CLBA_API clba_status clba_cancellation_retain(clba_cancellation* cancellation);
+CLBA_API void clba_cancellation_release(clba_cancellation* cancellation); /* NULL is allowed */
+CLBA_API void clba_cancellation_request(clba_cancellation* cancellation); /* NULL is allowed */
+CLBA_API void clba_cancellation_reset(clba_cancellation* cancellation);   /* NULL is allowed */
+CLBA_API int32_t clba_cancellation_is_requested(const clba_cancellation* cancellation);
 
 typedef struct clba_solver_options {
     uint32_t struct_size;
@@ -334,14 +353,30 @@ typedef struct clba_solver_options {
     double gradient_tolerance;    /* stop if gradient_max_norm <= this; 1e-10 */
     double parameter_tolerance;   /* stop if |step| <= this * (|x| + this); 1e-8 */
     double target_cost;           /* stop if cost <= this; 0 */
-    double max_seconds;           /* > 0; time budget; infinite */
+    double max_seconds;           /* > 0; time budget, which also cuts a step short, and takes it if
+                                     it lowers the cost; infinite */
     double eta; /* forcing term of the inexact step, < 1: PCG stops when an iteration improves the
                    quadratic model by less than eta / iterations, relatively (Ceres' Q-test; Nash
                    and Sofer 1990). 0 chooses by the preconditioner: 0.1 for schur_jacobi, 0.01 for
                    block_jacobi of pcg_schur, 0.001 for pcg_hessian, as the weaker ones make small
                    early progress that would end a looser test; 0 */
-    clba_iteration_fn on_iteration; /* or NULL */
-    void* user_data;                /* passed to on_iteration, never read */
+    clba_iteration_fn on_iteration;  /* or NULL */
+    void* user_data;                 /* passed to on_iteration, never read */
+    clba_cancellation* cancellation; /* or NULL */
+    /* Checkpoints: what the solve needs to go on later, to the same bits as if it had never ended.
+     * Written as files are, after every checkpoint_every-th iteration (0: none of them) and where
+     * the solve ends by a limit, the callback or a cancellation. One that cannot be written does
+     * not end the solve: the summary tells. A path that cannot be written is refused at the start.
+     */
+    const char* checkpoint_path; /* or NULL: none are written */
+    /* Goes on from a checkpoint instead of the problem's state, which it replaces. The problem must
+     * have the same measurements, weights, constants and loss, and linear_solver, preconditioner,
+     * damping, precision and jacobian must be the same; limits and tolerances may differ.
+     * max_num_iterations counts the iterations before, max_seconds does not count the time. Bits
+     * are equal on the same device and driver. May be checkpoint_path. */
+    const char* resume_path;  /* or NULL: from the problem's state */
+    int32_t checkpoint_every; /* >= 0; 10 */
+    int32_t reserved;         /* 0 */
 } clba_solver_options;
 CLBA_API clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size);
 
@@ -350,7 +385,7 @@ enum {
     CLBA_CONVERGENCE = 0,    /* a tolerance was met */
     CLBA_NO_CONVERGENCE = 1, /* a limit on iterations or time was met */
     CLBA_FAILURE = 2,        /* no usable step could be found; the best state is kept */
-    CLBA_USER_STOP = 3       /* the callback asked for it */
+    CLBA_USER_STOP = 3       /* the callback or a cancellation asked for it */
 };
 /* Why a solve ended. */
 enum {
@@ -364,7 +399,8 @@ enum {
     CLBA_REASON_INVALID_STEPS = 8,
     CLBA_REASON_INVALID_START = 9, /* cost or derivatives at the initial point are not finite */
     CLBA_REASON_CALLBACK = 10,
-    CLBA_REASON_NOTHING_TO_DO = 11 /* no observations, or every parameter is constant */
+    CLBA_REASON_NOTHING_TO_DO = 11, /* no observations, or every parameter is constant */
+    CLBA_REASON_CANCELLED = 12
 };
 
 typedef struct clba_summary {
@@ -415,9 +451,13 @@ typedef struct clba_summary {
     int32_t given_precision;
     int32_t jacobian;             /* the one used */
     double factorization_seconds; /* of explicit_schur and direct_schur: on the host */
-    double host_seconds; /* what is left of total_seconds without kernels, their building and
-                            factorizations; 0 where the queue has no profiling */
-    char choice[256];    /* why auto chose as it did, for people */
+    double host_seconds;       /* what is left of total_seconds without kernels, their building and
+                                  factorizations; 0 where the queue has no profiling */
+    char choice[256];          /* why auto chose as it did, for people */
+    int32_t resumed_iteration; /* of the checkpoint that the solve went on from; 0: of none */
+    int32_t num_checkpoints;   /* that were written */
+    char
+        checkpoint_error[256]; /* why the last one that failed could not be written; "": none did */
 } clba_summary;
 
 /* Minimises the cost from the problem's state and leaves it at the best state found, however the
@@ -491,10 +531,10 @@ CLBA_API clba_status clba_problem_apply_step(clba_problem* problem, const double
 /* ---- Removing outliers ----------------------------------------------------------------------- */
 
 enum {
-    CLBA_ERROR_UNIT_PIXELS = 1, /* |projection - observation| */
-    CLBA_ERROR_UNIT_SIGMAS = 2  /* whitened by the covariances: |L^-1 (projection - observation)| */
+    CLBA_UNIT_PIXELS = 1, /* |projection - observation| */
+    CLBA_UNIT_SIGMAS = 2  /* whitened by the covariances: |L^-1 (projection - observation)| */
 };
-CLBA_API const char* clba_error_unit_name(int32_t unit); /* NULL: no such unit */
+CLBA_API const char* clba_unit_name(int32_t unit); /* NULL: no such unit */
 /* Reprojection errors of observations [first, first + count), without the loss; on the host. */
 CLBA_API clba_status clba_problem_get_reprojection_errors(const clba_problem* problem, int32_t unit,
                                                           int64_t first, int64_t count,
@@ -504,7 +544,7 @@ CLBA_API clba_status clba_problem_get_reprojection_errors(const clba_problem* pr
  * observations of a point, and leave constant points alone. */
 typedef struct clba_filter_options {
     uint32_t struct_size;
-    int32_t error_unit;             /* CLBA_ERROR_UNIT_PIXELS */
+    int32_t error_unit;             /* CLBA_UNIT_PIXELS */
     int32_t remove_behind;          /* 1: points behind their camera, or in its own plane */
     int32_t min_num_views;          /* >= 0; points that fewer images see; 2 */
     double max_reprojection_error;  /* > 0; may be infinite; larger errors; 4 */

@@ -162,8 +162,8 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
-inline std::string_view error_unit_name(int32_t unit) {
-    return detail::name(clba_error_unit_name, unit, "error unit");
+inline std::string_view unit_name(int32_t unit) {
+    return detail::name(clba_unit_name, unit, "unit");
 }
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
@@ -290,6 +290,10 @@ inline void release(clba_result* handle) noexcept {
     clba_result_release(handle);
 }
 
+inline void release(clba_cancellation* handle) noexcept {
+    clba_cancellation_release(handle);
+}
+
 // Owns one reference.
 template <class Object>
 class Handle {
@@ -379,6 +383,22 @@ public:
     }
     std::string_view report() const { return clba_result_report(object_); }
     std::string_view json() const { return clba_result_json(object_); }
+};
+
+// Ends the solves whose options name it: `options.cancellation = cancellation.get()`. request(),
+// reset() and is_requested() may be called from any thread.
+class Cancellation : public detail::Handle<clba_cancellation> {
+public:
+    using Handle::Handle;
+
+    Cancellation() { check(clba_cancellation_create(&object_)); }
+    Cancellation share() const {
+        check(clba_cancellation_retain(object_));
+        return Cancellation(object_);
+    }
+    void request() noexcept { clba_cancellation_request(object_); }
+    void reset() noexcept { clba_cancellation_reset(object_); }
+    bool is_requested() const noexcept { return clba_cancellation_is_requested(object_) != 0; }
 };
 
 enum class Next { go_on, stop };
@@ -568,7 +588,7 @@ public:
 
     // -- Removing outliers
 
-    std::vector<double> reprojection_errors(int32_t unit = CLBA_ERROR_UNIT_PIXELS) const {
+    std::vector<double> reprojection_errors(int32_t unit = CLBA_UNIT_PIXELS) const {
         std::vector<double> errors(static_cast<size_t>(info().num_observations));
         check(clba_problem_get_reprojection_errors(
             object_, unit, 0, static_cast<int64_t>(errors.size()), errors.data(), 0));

@@ -15,7 +15,7 @@ clba_filter_options default_filter_options() {
     const OutlierRules defaults;
     clba_filter_options options{};
     options.struct_size = sizeof options;
-    options.error_unit = CLBA_ERROR_UNIT_PIXELS;
+    options.error_unit = CLBA_UNIT_PIXELS;
     options.remove_behind = defaults.remove_behind;
     options.min_num_views = defaults.min_views;
     options.max_reprojection_error = defaults.max_error;
@@ -24,8 +24,8 @@ clba_filter_options default_filter_options() {
 }
 
 void require_unit(int32_t unit, const char* name) {
-    require(clba_error_unit_name(unit) != nullptr, name, " = ", unit, ", but the units are ",
-            int{CLBA_ERROR_UNIT_PIXELS}, " and ", int{CLBA_ERROR_UNIT_SIGMAS});
+    require(clba_unit_name(unit) != nullptr, name, " = ", unit, ", but the units are ",
+            int{CLBA_UNIT_PIXELS}, " and ", int{CLBA_UNIT_SIGMAS});
 }
 
 OutlierRules outlier_rules(const clba_filter_options& given) {
@@ -39,7 +39,7 @@ OutlierRules outlier_rules(const clba_filter_options& given) {
             ", but it must be >= 0");
     require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
     OutlierRules rules;
-    rules.in_sigmas = given.error_unit == CLBA_ERROR_UNIT_SIGMAS;
+    rules.in_sigmas = given.error_unit == CLBA_UNIT_SIGMAS;
     rules.max_error = given.max_reprojection_error;
     rules.min_angle = given.min_triangulation_angle;
     rules.min_views = given.min_num_views;
@@ -105,11 +105,11 @@ clba_filter_report arrays_of(const clba_filter_report* report) {
 
 using namespace clba;
 
-const char* clba_error_unit_name(int32_t unit) {
+const char* clba_unit_name(int32_t unit) {
     switch (unit) {
-        case CLBA_ERROR_UNIT_PIXELS:
+        case CLBA_UNIT_PIXELS:
             return "pixels";
-        case CLBA_ERROR_UNIT_SIGMAS:
+        case CLBA_UNIT_SIGMAS:
             return "sigmas";
         default:
             return nullptr;
@@ -127,8 +127,7 @@ clba_status clba_problem_get_reprojection_errors(const clba_problem* problem, in
         const Rows rows(errors, stride, 1, "errors", count);
         reference::visit_errors(
             p, first, count, [&](int64_t i, const reference::ReprojectionError& error) {
-                rows.set(i - first, 0,
-                         unit == CLBA_ERROR_UNIT_SIGMAS ? error.sigmas : error.pixels);
+                rows.set(i - first, 0, unit == CLBA_UNIT_SIGMAS ? error.sigmas : error.pixels);
             });
     });
 }

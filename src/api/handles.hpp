@@ -29,6 +29,12 @@ struct clba_problem {
     std::unique_ptr<clba::DeviceProblem> mirror;
 };
 
+struct clba_cancellation {
+    std::atomic<int> references{1};
+    std::atomic<bool> is_requested{false};
+    static_assert(std::atomic<bool>::is_always_lock_free, "signal handlers may not lock");
+};
+
 struct clba_result {
     clba_summary summary;
     std::vector<clba_iteration> rows;

@@ -47,6 +47,8 @@ const char* reason_name(int32_t reason) {
             return "callback";
         case CLBA_REASON_NOTHING_TO_DO:
             return "nothing_to_do";
+        case CLBA_REASON_CANCELLED:
+            return "cancelled";
     }
     return "unknown";
 }
@@ -161,6 +163,12 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
         share("the rest of the host", s.host_seconds);
     }
 
+    if (s.resumed_iteration > 0)
+        append(text, "\nResumed after iteration      %d\n", s.resumed_iteration);
+    if (s.num_checkpoints > 0 || s.checkpoint_error[0])
+        append(text, "\nCheckpoints written          %d\n", s.num_checkpoints);
+    if (s.checkpoint_error[0])
+        append(text, "  one was not                %s\n", s.checkpoint_error);
     append(text, "\nPeak device memory           %.1f MiB\n",
            static_cast<double>(s.peak_device_bytes) / (1 << 20));
     append(text, "Termination                  %s, %s\n", termination_name(s.termination),
@@ -206,6 +214,9 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     for (const NamedSeconds& time : device_times(s)) json.add(time.field, time.seconds);
     json.add("factorization_seconds", s.factorization_seconds);
     json.add("host_seconds", s.host_seconds);
+    json.add("resumed_iteration", s.resumed_iteration);
+    json.add("num_checkpoints", s.num_checkpoints);
+    json.add("checkpoint_error", s.checkpoint_error);
     json.begin_array("iterations");
     for (const clba_iteration& row : rows) {
         json.begin_object();
@@ -221,6 +232,8 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
         json.add("linear_solver_iterations", row.linear_solver_iterations);
         json.add("num_behind", row.num_behind);
         json.add("seconds", row.seconds);
+        json.add("remaining_iterations", row.remaining_iterations);
+        json.add("remaining_seconds", row.remaining_seconds);
         json.end_object();
     }
     json.end_array();

@@ -37,6 +37,7 @@ clba_solver_options default_solver_options() {
     options.parameter_tolerance = defaults.parameter_tolerance;
     options.target_cost = defaults.target_cost;
     options.max_seconds = defaults.max_seconds;
+    options.checkpoint_every = defaults.checkpoint_every;
     return options;
 }
 
@@ -124,6 +125,12 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
             ", but it must be <= max_damping_diagonal = ", given.max_damping_diagonal);
     require(given.eta >= 0 && given.eta < 1, "eta = ", given.eta,
             ", but it must be in (0, 1), or 0 for the default");
+    require_at_least("checkpoint_every", given.checkpoint_every, 0);
+    require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
+    require(!given.checkpoint_path || *given.checkpoint_path,
+            "checkpoint_path is empty, but it must name a file, or be NULL");
+    require(!given.resume_path || *given.resume_path,
+            "resume_path is empty, but it must name a file, or be NULL");
 
     MinimizerOptions options;
     options.linear_solver.kind = static_cast<LinearSolverKind>(given.linear_solver);
@@ -147,6 +154,10 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     options.parameter_tolerance = given.parameter_tolerance;
     options.target_cost = given.target_cost;
     options.max_seconds = given.max_seconds;
+    if (given.cancellation) options.cancelled = &given.cancellation->is_requested;
+    if (given.checkpoint_path) options.checkpoint_path = given.checkpoint_path;
+    if (given.resume_path) options.resume_path = given.resume_path;
+    options.checkpoint_every = given.checkpoint_every;
     return options;
 }
 
@@ -165,6 +176,8 @@ clba_iteration public_row(const IterationRow& row) {
     out.gain_ratio = row.gain_ratio;
     out.trust_region_radius = row.trust_region_radius;
     out.seconds = row.seconds;
+    out.remaining_iterations = row.remaining_iterations;
+    out.remaining_seconds = row.remaining_seconds;
     return out;
 }
 
@@ -222,8 +235,25 @@ clba_summary public_summary(const Summary& summary, const clba_solver_options& g
         out.host_seconds = summary.total_seconds - summary.build_seconds -
                            summary.factorization_seconds - device_seconds;
     copy_text(summary.choice, out.choice);
+    out.resumed_iteration = summary.resumed_iteration;
+    out.num_checkpoints = summary.num_checkpoints;
+    copy_text(summary.checkpoint_error, out.checkpoint_error);
     return out;
 }
+
+// Keeps a cancellation while a solve looks at it.
+class CancellationReference {
+public:
+    explicit CancellationReference(clba_cancellation* cancellation) : cancellation_(cancellation) {
+        if (cancellation_) ++cancellation_->references;
+    }
+    ~CancellationReference() { clba_cancellation_release(cancellation_); }
+    CancellationReference(const CancellationReference&) = delete;
+    CancellationReference& operator=(const CancellationReference&) = delete;
+
+private:
+    clba_cancellation* cancellation_;
+};
 
 std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solver_options& given) {
     auto result = std::make_unique<clba_result>();
@@ -441,6 +471,37 @@ const char* clba_jacobian_name(int32_t jacobian) {
     }
 }
 
+clba_status clba_cancellation_create(clba_cancellation** cancellation) {
+    if (cancellation) *cancellation = nullptr;
+    return guarded([&] {
+        require_pointer(cancellation, "cancellation");
+        *cancellation = new clba_cancellation();
+    });
+}
+
+clba_status clba_cancellation_retain(clba_cancellation* cancellation) {
+    return guarded([&] {
+        require_pointer(cancellation, "cancellation");
+        ++cancellation->references;
+    });
+}
+
+void clba_cancellation_release(clba_cancellation* cancellation) {
+    if (cancellation && --cancellation->references == 0) delete cancellation;
+}
+
+void clba_cancellation_request(clba_cancellation* cancellation) {
+    if (cancellation) cancellation->is_requested = true;
+}
+
+void clba_cancellation_reset(clba_cancellation* cancellation) {
+    if (cancellation) cancellation->is_requested = false;
+}
+
+int32_t clba_cancellation_is_requested(const clba_cancellation* cancellation) {
+    return cancellation && cancellation->is_requested;
+}
+
 clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size) {
     return guarded([&] { init_struct(options, struct_size, default_solver_options(), "options"); });
 }
@@ -452,6 +513,7 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
         require_pointer(problem, "problem");
         require_pointer(context, "context");
         const clba_solver_options given = copied_in(options, default_solver_options(), "options");
+        const CancellationReference cancellation(given.cancellation);
         MinimizerOptions internal = minimizer_options(given);
         const Precision precision = used_precision(given.precision, *context->context);
         if (given.on_iteration)

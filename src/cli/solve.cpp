@@ -28,6 +28,8 @@ struct SolveArguments {
     std::string ply;
     std::string json;
     std::string device;
+    std::string checkpoint;
+    std::string resume;
     int32_t loss = CLBA_LOSS_NONE;
     double loss_scale = 1;
     clba_filter_options filter = filter_defaults();
@@ -124,8 +126,11 @@ ExitCode exit_code_of(const clba_summary& summary) {
     return interrupted() ? ExitCode::interrupted : ExitCode::ok;
 }
 
-ExitCode solve(const SolveArguments& arguments) {
-    check_outputs({arguments.output, arguments.ply, arguments.json});
+ExitCode solve(SolveArguments& arguments) {
+    check_outputs({arguments.output, arguments.ply, arguments.json, arguments.checkpoint});
+    if (!arguments.checkpoint.empty())
+        arguments.options.checkpoint_path = arguments.checkpoint.c_str();
+    if (!arguments.resume.empty()) arguments.options.resume_path = arguments.resume.c_str();
     const Context context = make_context(arguments.device);
     const Problem problem = read_start(arguments);
     // Read now, because the output may replace the file.
@@ -144,6 +149,9 @@ ExitCode solve(const SolveArguments& arguments) {
                     clba_result_report(result.get()), median);
 
     const clba_summary summary = summary_of(result.get());
+    if (summary.checkpoint_error[0])
+        std::fprintf(stderr, "clba: warning: a checkpoint is missing: %s\n",
+                     summary.checkpoint_error);
     if (exit_code_of(summary) == ExitCode::not_solved)
         std::fprintf(stderr, "clba: error: %s: not solved: %s\n", arguments.file.c_str(),
                      summary.message);
@@ -225,13 +233,31 @@ void add_limits(CLI::App& command, clba_solver_options& options) {
         ->capture_default_str();
 }
 
+void add_checkpoints(CLI::App& command, SolveArguments& arguments) {
+    command
+        .add_option("--checkpoint", arguments.checkpoint,
+                    "file from which the solve can go on later, by --resume")
+        ->check(not_empty);
+    command
+        .add_option(
+            "--checkpoint-every", arguments.options.checkpoint_every,
+            "iterations between checkpoints; 0: only where a limit or Ctrl-C ends the solve")
+        ->check(non_negative_number)
+        ->capture_default_str();
+    command
+        .add_option("--resume", arguments.resume,
+                    "go on from a checkpoint of the same problem and options")
+        ->check(not_empty);
+}
+
 void add_filter_rounds(CLI::App& command, SolveArguments& arguments) {
     CLI::Option* rounds = command
                               .add_option("--filter-rounds", arguments.filter_rounds,
                                           "how often at most to remove outliers and solve again")
                               ->check(non_negative_number)
                               ->capture_default_str();
-    rounds->excludes(command.get_option("--verify"));
+    for (const char* other : {"--verify", "--checkpoint", "--resume"})
+        rounds->excludes(command.get_option(other));
     add_filter_options(command, arguments.filter, "filter-");
 }
 
@@ -246,6 +272,7 @@ void add_solve(CLI::App& program, int& result) {
     add_output_options(*command, *arguments);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);
+    add_checkpoints(*command, *arguments);
     add_filter_rounds(*command, *arguments);
     command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });
 }

@@ -289,16 +289,17 @@ bool BlockCholesky<Real>::factorize_front(int32_t f, const Real* values,
 }
 
 template <class Real>
-bool BlockCholesky<Real>::factorize(const Real* values) {
+bool BlockCholesky<Real>::factorize(const Real* values, const StopTest& stop) {
     const FlushSubnormals flush;
+    const auto goes_on = [&] { return stop.cause() == StopCause::none; };
     failed_ = false;
     for_each_subtree([&](int32_t begin, int32_t end, const DenseThreads<Real>& alone) {
         for (int32_t f = begin; f < end && !failed_; ++f)
-            if (!factorize_front(f, values, alone)) failed_ = true;
+            if (!goes_on() || !factorize_front(f, values, alone)) failed_ = true;
     });
     if (failed_) return false;
     for (const int32_t f : shared_fronts_)
-        if (!factorize_front(f, values, threads(true, 0))) return false;
+        if (!goes_on() || !factorize_front(f, values, threads(true, 0))) return false;
     return true;
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "base/stop_test.hpp"
 #include "linear/aligned_array.hpp"
 #include "linear/block_pattern.hpp"
 #include "linear/front_tree.hpp"
@@ -29,9 +30,9 @@ public:
     int64_t num_values() const { return value_begin_.back(); }
     int64_t value_offset(int64_t entry) const { return value_begin_[entry]; }
 
-    // False: not positive definite, or not finite; another matrix may follow. Only the lower
-    // triangle of the diagonal blocks is read.
-    bool factorize(const Real* values);
+    // False: not positive definite, or not finite, or `stop` ended it; another matrix may follow.
+    // Only the lower triangle of the diagonal blocks is read.
+    bool factorize(const Real* values, const StopTest& stop = {});
     // A x = b with the last factor, which must have been positive definite. x may be b.
     void solve(const Real* b, Real* x);
 

@@ -345,6 +345,72 @@ void DeviceProblem::download_state(Problem& problem) const {
     });
 }
 
+size_t DeviceProblem::num_state_values() const {
+    return static_cast<size_t>(num_images_) * static_cast<size_t>(pose_values()) +
+           static_cast<size_t>(num_cameras_) * static_cast<size_t>(most_camera_params_) +
+           3 * static_cast<size_t>(position_parts(precision_)) * static_cast<size_t>(num_points_);
+}
+
+std::vector<double> DeviceProblem::state_values() const {
+    std::vector<double> values(num_state_values());
+    double* next = values.data();
+    for_wide([&](auto wide) {
+        for (const Buffer* buffer : {&state.poses, &state.camera_params}) {
+            const auto mapping = buffer->map_read<decltype(wide)>();
+            next = std::copy_n(mapping.data(), buffer->bytes() / sizeof wide, next);
+        }
+    });
+    read_points(state.points, 3 * position_parts(precision_), next);
+    return values;
+}
+
+void DeviceProblem::set_state_values(const std::vector<double>& values) {
+    const double* next = values.data();
+    for_wide([&](auto wide) {
+        using Wide = decltype(wide);
+        for (Buffer* buffer : {&state.poses, &state.camera_params}) {
+            const auto mapping = buffer->map_write<Wide>();
+            const size_t count = buffer->bytes() / sizeof wide;
+            std::transform(next, next + count, mapping.data(),
+                           [](double value) { return static_cast<Wide>(value); });
+            next += count;
+        }
+    });
+    write_points(next, 3 * position_parts(precision_), state.points);
+}
+
+void DeviceProblem::read_points(const std::vector<Buffer>& buffers, int rows,
+                                double* values) const {
+    for (size_t c = 0; c < buffers.size(); ++c) {
+        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+        const auto n = static_cast<int64_t>(slot_point.size());
+        for_wide([&](auto wide) {
+            const auto mapping = buffers[c].map_read<decltype(wide)>();
+            for_slots(n, [&](int64_t slot) {
+                for (int k = 0; slot_point[slot] >= 0 && k < rows; ++k)
+                    values[rows * int64_t{slot_point[slot]} + k] = mapping[k * n + slot];
+            });
+        });
+    }
+}
+
+void DeviceProblem::write_points(const double* values, int rows,
+                                 std::vector<Buffer>& buffers) const {
+    for (size_t c = 0; c < buffers.size(); ++c) {
+        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+        const auto n = static_cast<int64_t>(slot_point.size());
+        for_wide([&](auto wide) {
+            using Wide = decltype(wide);
+            const auto mapping = buffers[c].map_update<Wide>();
+            for_slots(n, [&](int64_t slot) {
+                for (int k = 0; slot_point[slot] >= 0 && k < rows; ++k)
+                    mapping[k * n + slot] =
+                        static_cast<Wide>(values[rows * int64_t{slot_point[slot]} + k]);
+            });
+        });
+    }
+}
+
 void DeviceProblem::upload(const double* values, Vector& vector) const {
     write_wide(std::vector<double>(values, values + layout_.num_f), vector.f);
     for (size_t c = 0; c < vector.e.size(); ++c) {

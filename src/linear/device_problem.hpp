@@ -67,6 +67,11 @@ public:
 
     void upload_state(const Problem& problem);    // into `state`
     void download_state(Problem& problem) const;  // from `state`
+    // `state` as it is on the device, with every bit: poses, camera parameters, then the rows of
+    // each point in the caller's order.
+    std::vector<double> state_values() const;
+    size_t num_state_values() const;
+    void set_state_values(const std::vector<double>& values);
     // trial = state moved by step; points only where step has an E side.
     void update(const Vector& step);
     // Launches a kernel over the tiles of a chunk for one of its segments: the arguments follow
@@ -104,6 +109,10 @@ public:
     std::vector<Buffer> make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
                                        const std::string& label);
     void upload(const double* values, Vector& vector) const;
+    // `rows` values a point, in the caller's order, from and to rows over point slots; spare slots
+    // stay.
+    void read_points(const std::vector<Buffer>& buffers, int rows, double* values) const;
+    void write_points(const double* values, int rows, std::vector<Buffer>& buffers) const;
     void download(const Vector& vector, double* values) const;
     // visit(observation, num_columns, value) for each observation's slot in buffers made by
     // make_slot_rows, in several threads; value(row) is a reference to what the slot has in that

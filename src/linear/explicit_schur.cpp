@@ -184,10 +184,10 @@ void ExplicitSchur::finish_values(double lambda, double* values) {
     }
 }
 
-bool ExplicitSchur::factorize(double lambda, double& seconds) {
+bool ExplicitSchur::factorize(double lambda, const StopTest& stop, double& seconds) {
     const auto timed = [&](const double* values) {
         const Stopwatch watch;
-        const bool is_definite = cholesky_.factorize(values);
+        const bool is_definite = cholesky_.factorize(values, stop);
         seconds += watch.seconds();
         return is_definite;
     };
@@ -222,14 +222,15 @@ bool ExplicitSchur::factorize(double lambda, double& seconds) {
     return timed(values_.data());
 }
 
-LinearSolution ExplicitSchur::solve(double lambda) {
+LinearSolution ExplicitSchur::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     solution.num_iterations = 1;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     form_blocks();
-    if (!factorize(lambda, solution.factorization_seconds)) {
-        solution.num_indefinite_blocks = 1;
+    if (!factorize(lambda, stop, solution.factorization_seconds)) {
+        solution.stopped = stop.cause();
+        solution.num_indefinite_blocks = solution.stopped == StopCause::none;
         return solution;
     }
     step_.fill_zero();

@@ -21,7 +21,7 @@ public:
 
     // Slices whose records fit the caches, with work for every compute unit.
     static SliceSize slice_size(DeviceProblem& problem);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::explicit_schur; }
 
@@ -38,7 +38,8 @@ private:
     };
 
     void list_targets(const Problem& problem, const BlockPattern& pattern);
-    bool factorize(double lambda, double& seconds);  // adds what it took
+    // Adds what it took.
+    bool factorize(double lambda, const StopTest& stop, double& seconds);
     void finish_values(double lambda, double* values);
 
     NormalEquations& equations_;

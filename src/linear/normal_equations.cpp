@@ -109,6 +109,22 @@ void NormalEquations::get_damping(Vector& full) {
     for (size_t c = 0; c < full.e.size(); ++c) full.e[c].copy_from(fixed_point_damping_[c]);
 }
 
+std::vector<double> NormalEquations::fixed_damping() {
+    if (options_.policy != Damping::levenberg) return {};
+    Vector full = problem_.make_vector("the damping");
+    get_damping(full);
+    std::vector<double> values(static_cast<size_t>(problem_.layout().num_f) +
+                               3 * static_cast<size_t>(problem_.num_points()));
+    problem_.download(full, values.data());
+    return values;
+}
+
+void NormalEquations::set_fixed_damping(const std::vector<double>& values) {
+    const auto num_f = static_cast<std::ptrdiff_t>(problem_.layout().num_f);
+    problem_.write_wide({values.begin(), values.begin() + num_f}, d2_.f);
+    problem_.write_points(values.data() + num_f, 3, fixed_point_damping_);
+}
+
 int64_t NormalEquations::read_failures(int64_t groups) {
     std::vector<int32_t> counts(static_cast<size_t>(groups * queue_.tuning().work_group_size));
     failures_.read(counts.data(), counts.size() * sizeof(int32_t));

@@ -39,6 +39,10 @@ public:
     double gradient_max_norm();
     const Buffer& u();                             // diagonal blocks of J_F^T J_F, packed
     const Vector& damping() const { return d2_; }  // D^2 of the F side
+    // D^2 of F and 3 a point, in the caller's order, where the first linearisation fixes it for all
+    // that follow; else nothing.
+    std::vector<double> fixed_damping();
+    void set_fixed_damping(const std::vector<double>& values);  // after a linearisation
     // F and E together.
     void get_gradient(Vector& full);
     void get_damping(Vector& full);

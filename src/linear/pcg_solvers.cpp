@@ -27,7 +27,7 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
     step_ = problem.make_vector("the step");
 }
 
-LinearSolution PcgHessian::solve(double lambda) {
+LinearSolution PcgHessian::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
     solution.num_indefinite_blocks =
@@ -36,9 +36,10 @@ LinearSolution PcgHessian::solve(double lambda) {
     equations_.get_gradient(gradient_);
     equations_.get_damping(damping_);
     vectors.scale_and_add(-1.0, gradient_, 0.0, residual_);
-    const PcgResult result = pcg_.solve(*this, lambda, damping_, residual_, step_);
+    const PcgResult result = pcg_.solve(*this, lambda, damping_, residual_, step_, stop);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    solution.stopped = result.stopped;
     if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
     return solution;
 }
@@ -67,7 +68,7 @@ PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equation
     step_ = problem.make_reduced_vector("the step");
 }
 
-LinearSolution PcgSchur::solve(double lambda) {
+LinearSolution PcgSchur::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
@@ -78,9 +79,11 @@ LinearSolution PcgSchur::solve(double lambda) {
 
     step_.fill_zero();
     reduced_right_side(equations_, step_, residual_);
-    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), residual_, step_);
+    const PcgResult result =
+        pcg_.solve(*this, lambda, equations_.damping(), residual_, step_, stop);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    solution.stopped = result.stopped;
     if (solution.is_usable) take_reduced_step(equations_, step_, solution);
     return solution;
 }

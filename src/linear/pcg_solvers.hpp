@@ -10,7 +10,7 @@ namespace clba {
 class PcgHessian : public LinearSolver, private PcgSystem {
 public:
     PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::pcg_hessian; }
 
@@ -28,7 +28,7 @@ private:
 class PcgSchur : public LinearSolver, private PcgSystem {
 public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     // Of the solves to come.
     void limit_iterations(int max_iterations) { pcg_.limit_iterations(max_iterations); }
     void get_step(Vector& full) override;

@@ -3,8 +3,10 @@
 
 #include <algorithm>
 
+#include "base/atomic_file.hpp"
 #include "base/error.hpp"
 #include "base/stopwatch.hpp"
+#include "problem/fingerprint.hpp"
 #include "reference/bundle.hpp"
 
 namespace clba {
@@ -16,6 +18,40 @@ bool has_free_parameters(const Problem& problem, const ParameterLayout& layout) 
     for (int32_t p = 0; p < problem.num_points(); ++p)
         if (point_scale(problem, p)[0] > 0) return true;
     return false;
+}
+
+// The summary of a solve that ends before it begins.
+void end_at_start(const Problem& problem, Termination termination, Reason reason,
+                  const char* message, Summary& summary) {
+    summary.termination = termination;
+    summary.reason = reason;
+    summary.message = message;
+    const reference::Cost cost = reference::residual(problem, nullptr);
+    summary.initial_cost = summary.final_cost = summary.reference_final_cost = cost.cost;
+    summary.num_behind_initial = summary.num_behind_final = cost.num_behind;
+    summary.num_singular = cost.num_singular;
+    IterationRow row;
+    row.step_is_accepted = row.step_is_valid = true;
+    row.cost = cost.cost;
+    row.num_behind = cost.num_behind;
+    summary.rows.push_back(row);
+}
+
+// Of a solve that writes or reads checkpoints; looks whether they can be written, and reads what it
+// resumes.
+CheckpointKey open_checkpoints(const Problem& problem, const MinimizerOptions& options,
+                               Precision precision, std::optional<Checkpoint>& resumed) {
+    CheckpointKey key;
+    if (options.checkpoint_path.empty() && options.resume_path.empty()) return key;
+    key = {fingerprint(problem),
+           options.linear_solver.kind,
+           options.linear_solver.preconditioner,
+           options.damping.policy,
+           precision,
+           options.jacobian};
+    if (!options.checkpoint_path.empty()) AtomicFile probe(options.checkpoint_path);
+    if (!options.resume_path.empty()) resumed = read_checkpoint(options.resume_path, key);
+    return key;
 }
 
 }  // namespace
@@ -44,20 +80,19 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     summary.jacobian = options.jacobian;
     summary.precision = precision;
     summary.device = context->device().name;
+    std::optional<Checkpoint> resumed;
+    const CheckpointKey key = open_checkpoints(problem, options, precision, resumed);
     if (problem.observations.empty() || !has_free_parameters(problem, ParameterLayout(problem))) {
-        summary.termination = Termination::convergence;
-        summary.reason = Reason::nothing_to_do;
-        summary.message = problem.observations.empty() ? "There are no observations."
-                                                       : "Every parameter is constant.";
-        const reference::Cost cost = reference::residual(problem, nullptr);
-        summary.initial_cost = summary.final_cost = summary.reference_final_cost = cost.cost;
-        summary.num_behind_initial = summary.num_behind_final = cost.num_behind;
-        summary.num_singular = cost.num_singular;
-        IterationRow row;
-        row.step_is_accepted = row.step_is_valid = true;
-        row.cost = cost.cost;
-        row.num_behind = cost.num_behind;
-        summary.rows.push_back(row);
+        end_at_start(problem, Termination::convergence, Reason::nothing_to_do,
+                     problem.observations.empty() ? "There are no observations."
+                                                  : "Every parameter is constant.",
+                     summary);
+        summary.total_seconds = watch.seconds();
+        return summary;
+    }
+    if (options.cancelled && *options.cancelled) {
+        end_at_start(problem, Termination::user_stop, Reason::cancelled, "Cancelled by the caller.",
+                     summary);
         summary.total_seconds = watch.seconds();
         return summary;
     }
@@ -65,7 +100,7 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     mirrored.queue().reset_step_seconds();
     mirrored.queue().memory().reset_peak();
     summary.setup_seconds = watch.seconds();
-    minimize(options, problem, mirrored, watch.seconds(), summary);
+    minimize(options, problem, mirrored, key, resumed, watch.seconds(), summary);
     Stopwatch finish;
     mirrored.download_state(problem);
     summary.setup_seconds += finish.lap();

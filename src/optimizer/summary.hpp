@@ -23,7 +23,8 @@ enum class Reason : int {
     invalid_steps = 8,
     invalid_start = 9,
     callback = 10,
-    nothing_to_do = 11
+    nothing_to_do = 11,
+    cancelled = 12
 };
 
 // Fields as in clba_iteration.
@@ -40,6 +41,8 @@ struct IterationRow {
     double gain_ratio = 0;
     double trust_region_radius = 0;
     double seconds = 0;
+    int remaining_iterations = -1;
+    double remaining_seconds = -1;
 };
 
 // Fields as in clba_summary.
@@ -65,6 +68,9 @@ struct Summary {
     std::array<double, num_steps> step_seconds{};
     uint64_t peak_device_bytes = 0;
     std::string device;
+    int resumed_iteration = 0;  // of the checkpoint
+    int num_checkpoints = 0;
+    std::string checkpoint_error;  // of the last one that could not be written
     std::vector<IterationRow> rows;
 };
 

@@ -30,6 +30,7 @@ STRUCTS = {
     "clba_context": _ffi.ContextHandle,
     "clba_problem": _ffi.ProblemHandle,
     "clba_result": _ffi.ResultHandle,
+    "clba_cancellation": _ffi.CancellationHandle,
 }
 
 
@@ -141,6 +142,7 @@ def enumeration(prefix: str) -> dict[str, int]:
         ("PRECISION", _names.PRECISIONS, _names.Precision),
         ("JACOBIAN", _names.JACOBIANS, _names.JacobianForm),
         ("SCENE", _names.SCENES, _names.Scene),
+        ("UNIT", _names.ERROR_UNITS, _names.ErrorUnit),
         ("DEVICE", _names.DEVICE_TYPES, None),
         ("REASON", _names.REASONS, None),
     ],

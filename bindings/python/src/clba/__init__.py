@@ -9,6 +9,7 @@ print(summary.report())
 """
 
 from clba import plot
+from clba._cancellation import Cancellation
 from clba._devices import Context, Device, devices
 from clba._errors import (
     DeviceError,
@@ -32,6 +33,7 @@ from clba._version import __version__
 
 __all__ = [
     "PARAM_NAMES",
+    "Cancellation",
     "Comparison",
     "Context",
     "Device",

@@ -37,6 +37,10 @@ class ResultHandle(Structure):
     """clba_result"""
 
 
+class CancellationHandle(Structure):
+    """clba_cancellation"""
+
+
 class DeviceInfo(Structure):
     """clba_device_info"""
 
@@ -98,7 +102,7 @@ class Iteration(Structure):
         ("step_is_accepted", c_int32),
         ("step_is_valid", c_int32),
         ("linear_solver_iterations", c_int32),
-        ("reserved", c_int32),
+        ("remaining_iterations", c_int32),
         ("num_behind", c_int64),
         ("cost", c_double),
         ("cost_change", c_double),
@@ -107,6 +111,7 @@ class Iteration(Structure):
         ("gain_ratio", c_double),
         ("trust_region_radius", c_double),
         ("seconds", c_double),
+        ("remaining_seconds", c_double),
     ]
 
 
@@ -141,6 +146,11 @@ class SolverOptions(Structure):
         ("eta", c_double),
         ("on_iteration", IterationFunction),
         ("user_data", c_void_p),
+        ("cancellation", POINTER(CancellationHandle)),
+        ("checkpoint_path", c_char_p),
+        ("resume_path", c_char_p),
+        ("checkpoint_every", c_int32),
+        ("reserved", c_int32),
     ]
 
 
@@ -193,6 +203,9 @@ class Summary(Structure):
         ("factorization_seconds", c_double),
         ("host_seconds", c_double),
         ("choice", c_char * 256),
+        ("resumed_iteration", c_int32),
+        ("num_checkpoints", c_int32),
+        ("checkpoint_error", c_char * 256),
     ]
 
 
@@ -305,6 +318,7 @@ _status = c_int32
 _context = POINTER(ContextHandle)
 _problem = POINTER(ProblemHandle)
 _result = POINTER(ResultHandle)
+_cancellation = POINTER(CancellationHandle)
 _int32s = POINTER(c_int32)
 _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
@@ -371,6 +385,12 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "clba_damping_name": (c_char_p, [c_int32]),
     "clba_precision_name": (c_char_p, [c_int32]),
     "clba_jacobian_name": (c_char_p, [c_int32]),
+    "clba_cancellation_create": (_status, [POINTER(_cancellation)]),
+    "clba_cancellation_retain": (_status, [_cancellation]),
+    "clba_cancellation_release": (None, [_cancellation]),
+    "clba_cancellation_request": (None, [_cancellation]),
+    "clba_cancellation_reset": (None, [_cancellation]),
+    "clba_cancellation_is_requested": (c_int32, [_cancellation]),
     "clba_solver_options_init": (_status, [POINTER(SolverOptions), c_size_t]),
     "clba_problem_solve": (
         _status,
@@ -390,7 +410,7 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
         [_problem, _context, c_int32, c_int32, c_double, _doubles, _doubles],
     ),
     "clba_problem_apply_step": (_status, [_problem, _doubles]),
-    "clba_error_unit_name": (c_char_p, [c_int32]),
+    "clba_unit_name": (c_char_p, [c_int32]),
     "clba_problem_get_reprojection_errors": (
         _status,
         [_problem, c_int32, c_int64, c_int64, _doubles, c_size_t],

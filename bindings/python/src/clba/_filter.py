@@ -27,7 +27,7 @@ class FilterReport:
         num_observations_removed: in all; the next four add up to it.
         num_behind: of points behind their camera, or in its own plane.
         num_large_error: of a large reprojection error.
-        num_few_views, num_small_angle: of points that too few images see, or under too small angles.
+        num_few_views, num_small_angle: of points seen by too few images, or under too small angles.
         num_points_few_views, num_points_small_angle: these points.
         num_points_unobserved: points that lost all their observations.
         num_points_removed: points without observations, also those that had none before.

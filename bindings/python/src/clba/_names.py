@@ -34,7 +34,7 @@ PRECONDITIONERS = _named(lib.clba_preconditioner_name)
 DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
-ERROR_UNITS = _named(lib.clba_error_unit_name)
+ERROR_UNITS = _named(lib.clba_unit_name)
 SCENES = _named(lib.clba_scene_name)
 
 DEVICE_TYPES = {"cpu": 1, "gpu": 2, "accelerator": 3, "other": 4}
@@ -51,6 +51,7 @@ REASONS = {
     "invalid_start": 9,
     "callback": 10,
     "nothing_to_do": 11,
+    "cancelled": 12,
 }
 
 PARAM_NAMES: dict[str, tuple[str, ...]] = {

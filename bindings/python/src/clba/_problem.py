@@ -651,9 +651,7 @@ class Problem:
         """Keeps the rows of a reconstruction's points in step with a removal."""
         if self._colmap_ids is not None:
             cameras, images, points = self._colmap_ids
-            kept = [
-                point for point, row in zip(points, report.point_rows, strict=True) if row >= 0
-            ]
+            kept = [point for point, row in zip(points, report.point_rows, strict=True) if row >= 0]
             self._colmap_ids = (cameras, images, kept)
 
     # ---- Evaluating ----------------------------------------------------------------------------

@@ -27,7 +27,10 @@ class Iteration:
         step_norm: Euclidean, over all free parameters.
         gain_ratio: cost_change divided by the decrease that the linearised model predicts.
         trust_region_radius: 1 / lambda, after this iteration's update.
-        seconds: wall time since the solve was entered.
+        seconds: wall time since the solve was entered; after a resumption, also that of the solves
+            before.
+        remaining_iterations, remaining_seconds: an estimate from the trend of the cost, no more
+            than the budgets leave; -1 while it is unknown.
     """
 
     iteration: int
@@ -42,6 +45,8 @@ class Iteration:
     gain_ratio: float
     trust_region_radius: float
     seconds: float
+    remaining_iterations: int
+    remaining_seconds: float
 
 
 # The fields of Iteration, as columns.
@@ -59,6 +64,8 @@ ITERATION_DTYPE = np.dtype(
         ("gain_ratio", np.float64),
         ("trust_region_radius", np.float64),
         ("seconds", np.float64),
+        ("remaining_iterations", np.int32),
+        ("remaining_seconds", np.float64),
     ]
 )
 
@@ -93,6 +100,9 @@ class Summary:
             linear_solver, evaluate, reference and other add up to it.
         residual_device_seconds and the other device times: time in kernels by step; 0 where the
             device cannot tell.
+        resumed_iteration: of the checkpoint that the solve went on from; 0: of none.
+        num_checkpoints: that were written.
+        checkpoint_error: why the last one that failed could not be written; "" if none did.
         iterations: the log, an array of records with the fields of `Iteration`:
             ``summary.iterations["cost"]``, ``pandas.DataFrame(summary.iterations)``.
     """
@@ -141,6 +151,9 @@ class Summary:
     schur_device_seconds: float
     vector_device_seconds: float
     peak_device_bytes: int
+    resumed_iteration: int
+    num_checkpoints: int
+    checkpoint_error: str
     iterations: npt.NDArray[np.void] = field(compare=False)
     _report: str = field(compare=False)
     _json: str = field(compare=False)
