@@ -380,6 +380,42 @@ TEST(Filtering, ReportsWhatWent) {
     EXPECT_EQ(problem.info().num_points, 0);
 }
 
+TEST_F(Solving, AWindowOfAProblemThatGrows) {
+    const int32_t num_images = problem.info().num_images;
+    const clba::Cameras cameras = problem.cameras();
+    const clba::Images images = problem.images();
+    const clba::Observations seen = problem.observations();
+    // The last image once more, with what it sees.
+    problem.add_cameras(std::vector<int32_t>{cameras.models.back()},
+                        std::vector<double>(cameras.params.end() - 3, cameras.params.end()));
+    problem.add_images(std::vector<int32_t>{num_images},
+                       std::vector<std::array<double, 7>>{images.poses.back()});
+    problem.add_points(std::vector<Triple>{{0, 0, 0}});
+    std::vector<int32_t> points;
+    std::vector<std::array<double, 2>> xy;
+    for (size_t i = 0; i < seen.images.size(); ++i) {
+        if (seen.images[i] != num_images - 1) continue;
+        points.push_back(seen.points[i]);
+        xy.push_back(seen.xy[i]);
+    }
+    const std::vector<int32_t> rows(points.size(), num_images);
+    problem.add_observations(rows, points, xy);
+    EXPECT_EQ(problem.info().num_observations,
+              static_cast<int64_t>(seen.images.size() + points.size()));
+
+    clba::Window window({num_images, num_images - 1});
+    const clba::Result result = problem.solve_window(context, window);
+    EXPECT_EQ(result.summary().termination, CLBA_CONVERGENCE);
+    EXPECT_EQ(window.num_free_points, static_cast<int32_t>(points.size()));
+    const clba::Images refined = problem.images();
+    EXPECT_EQ(refined.poses[0], images.poses[0]);
+    EXPECT_NE(refined.poses.back(), images.poses.back());
+    clba::Window named({0}, {points[0]});
+    problem.solve_window(context, named);
+    EXPECT_EQ(named.num_free_points, 1);
+    expect_refused([&] { problem.add_observations(rows, points, {}); }, "image indices");
+}
+
 TEST_F(Solving, StepsMovePoints) {
     const clba::ProblemInfo info = problem.info();
     const std::vector<Triple> before = problem.points();

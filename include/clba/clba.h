@@ -183,6 +183,26 @@ CLBA_API clba_status clba_problem_set_covariances(clba_problem* problem, int64_t
 CLBA_API clba_status clba_problem_set_sigmas(clba_problem* problem, int64_t count,
                                              const double* sigmas, size_t stride);
 
+/* Appends rows; those before keep their index, so the first new one is the number of rows before.
+ * They are free, have uncertainties of 1 and, where covariances is NULL, the identity. A problem
+ * that grows keeps the order in which a device works through its images, until it has grown to
+ * twice the size: so its solves may differ by rounding from those of a problem that was set at
+ * once. */
+CLBA_API clba_status clba_problem_add_cameras(clba_problem* problem, int32_t count,
+                                              const int32_t* models, size_t models_stride,
+                                              const double* params, size_t params_stride);
+CLBA_API clba_status clba_problem_add_images(clba_problem* problem, int32_t count,
+                                             const int32_t* camera_indices, size_t camera_stride,
+                                             const double* poses, size_t poses_stride);
+CLBA_API clba_status clba_problem_add_points(clba_problem* problem, int32_t count,
+                                             const double* xyz, size_t stride);
+CLBA_API clba_status clba_problem_add_observations(clba_problem* problem, int64_t count,
+                                                   const int32_t* images, size_t images_stride,
+                                                   const int32_t* points, size_t points_stride,
+                                                   const double* xy, size_t xy_stride,
+                                                   const double* covariances,
+                                                   size_t covariances_stride);
+
 /* Rows [first, first + count) in the setters' formats. Camera rows hold as many numbers as the
  * camera's model has. */
 CLBA_API clba_status clba_problem_get_cameras(const clba_problem* problem, int32_t first,
@@ -465,6 +485,31 @@ typedef struct clba_summary {
  * and options the result is equal in every bit. */
 CLBA_API clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
                                         const clba_solver_options* options, clba_result** result);
+
+/* A part of a map to refine while the rest stays: local bundle adjustment. Free are the images, the
+ * points and the cameras that only these images use. What their observations refer to besides is
+ * constant: other images that see the points, other points that the images see, and cameras that
+ * images outside the window use. */
+typedef struct clba_window {
+    uint32_t struct_size;
+    int32_t refine_shared_cameras; /* 1: also cameras that images outside the window use; 0 */
+    int32_t num_images;
+    int32_t num_points;
+    const int32_t* images;       /* num_images of them, each once */
+    const int32_t* points;       /* num_points of them, each once; NULL: all that the images see */
+    int32_t num_free_points;     /* out, with the two below: what took part */
+    int32_t num_constant_images; /* out */
+    int64_t num_observations;    /* out */
+} clba_window;
+CLBA_API clba_status clba_window_init(clba_window* window, size_t struct_size);
+/* The same as a solve with everything else constant, at a cost that depends on the window and the
+ * tracks of its points alone; the first one on a problem also lists the observations of each image
+ * and point, which appending keeps up and other changes of the structure undo. Constants, weights
+ * and the loss hold. Refuses checkpoints. */
+CLBA_API clba_status clba_problem_solve_window(clba_problem* problem, clba_context* context,
+                                               const clba_solver_options* options,
+                                               clba_window* window, clba_result** result);
+
 CLBA_API void clba_result_release(clba_result* result); /* NULL is allowed */
 CLBA_API clba_status clba_result_get_summary(const clba_result* result, clba_summary* summary);
 CLBA_API int32_t clba_result_num_rows(const clba_result* result); /* 0 for NULL */

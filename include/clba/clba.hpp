@@ -276,6 +276,35 @@ struct EvaluationRequest : clba_evaluation {
     }
 };
 
+// Images, and points if they are not all that these see, to refine while the rest stays.
+struct Window : clba_window {
+    Window(std::vector<int32_t> of_images) : Window(std::move(of_images), {}, false) {}
+    Window(std::vector<int32_t> of_images, std::vector<int32_t> of_points)
+        : Window(std::move(of_images), std::move(of_points), true) {}
+
+    // Points the C struct to the lists.
+    clba_window& fill() {
+        num_images = detail::count32(static_cast<int64_t>(image_rows.size()), "images");
+        num_points = detail::count32(static_cast<int64_t>(point_rows.size()), "points");
+        images = image_rows.data();
+        static constexpr int32_t none = 0;
+        points = !names_points ? nullptr : point_rows.empty() ? &none : point_rows.data();
+        return *this;
+    }
+
+    std::vector<int32_t> image_rows, point_rows;
+    bool names_points;
+
+private:
+    Window(std::vector<int32_t> of_images, std::vector<int32_t> of_points, bool names)
+        : clba_window(),
+          image_rows(std::move(of_images)),
+          point_rows(std::move(of_points)),
+          names_points(names) {
+        check(clba_window_init(this, sizeof(clba_window)));
+    }
+};
+
 // ---- Handles ------------------------------------------------------------------------------------
 
 namespace detail {
@@ -522,6 +551,39 @@ public:
         check(clba_problem_set_loss(object_, loss, scale));
     }
 
+    // -- Appending: the rows before keep their index
+
+    void add_cameras(Rows<const int32_t, 1> models, CameraRows<const double> params) {
+        int64_t size = 0;
+        for (int64_t i = 0; i < models.count(); ++i)
+            size += camera_model_num_params(value(models, i));
+        params.require_size(size);
+        check(clba_problem_add_cameras(object_, detail::count32(models.count(), "cameras"),
+                                       models.data(), models.stride(), params.data(),
+                                       params.stride()));
+    }
+    void add_images(Rows<const int32_t, 1> cameras, Rows<const double, 7> poses) {
+        detail::require_equal(poses.count(), cameras.count(), "poses", "camera indices");
+        check(clba_problem_add_images(object_, detail::count32(poses.count(), "images"),
+                                      cameras.data(), cameras.stride(), poses.data(),
+                                      poses.stride()));
+    }
+    void add_points(Rows<const double, 3> xyz) {
+        check(clba_problem_add_points(object_, detail::count32(xyz.count(), "points"), xyz.data(),
+                                      xyz.stride()));
+    }
+    // Without covariances: the identity.
+    void add_observations(Rows<const int32_t, 1> images, Rows<const int32_t, 1> points,
+                          Rows<const double, 2> xy, Rows<const double, 3> covariances = {}) {
+        detail::require_equal(images.count(), xy.count(), "image indices", "observations");
+        detail::require_equal(points.count(), xy.count(), "point indices", "observations");
+        if (covariances.data())
+            detail::require_equal(covariances.count(), xy.count(), "covariances", "observations");
+        check(clba_problem_add_observations(object_, xy.count(), images.data(), images.stride(),
+                                            points.data(), points.stride(), xy.data(), xy.stride(),
+                                            covariances.data(), covariances.stride()));
+    }
+
     // -- Getters: everything, or rows from `first` on into the caller's memory
 
     Cameras cameras() const {
@@ -611,18 +673,21 @@ public:
     // on_iteration, if there is one, takes the place of the options' C callback.
     Result solve(const Context& context, const SolverOptions& options = {},
                  const IterationCallback& on_iteration = {}) {
-        clba_solver_options given = options;
-        Call call{on_iteration, nullptr};
-        if (on_iteration) {
-            given.on_iteration = &Call::enter;
-            given.user_data = &call;
-        }
-        clba_result* made = nullptr;
-        const clba_status status = clba_problem_solve(object_, context.get(), &given, &made);
-        Result result(made);
-        if (call.thrown) std::rethrow_exception(call.thrown);
-        check(status);
-        return result;
+        return solve_by(
+            [&](const clba_solver_options& given, clba_result** made) {
+                return clba_problem_solve(object_, context.get(), &given, made);
+            },
+            options, on_iteration);
+    }
+    // Refines the window's part of the map and says in it what took part.
+    Result solve_window(const Context& context, Window& window, const SolverOptions& options = {},
+                        const IterationCallback& on_iteration = {}) {
+        return solve_by(
+            [&](const clba_solver_options& given, clba_result** made) {
+                return clba_problem_solve_window(object_, context.get(), &given, &window.fill(),
+                                                 made);
+            },
+            options, on_iteration);
     }
 
     // -- Evaluating
@@ -700,8 +765,24 @@ private:
         }
     };
 
-    template <class Call>
-    Removed remove(Call&& call) {
+    template <class Run>
+    static Result solve_by(Run&& run, const SolverOptions& options,
+                           const IterationCallback& on_iteration) {
+        clba_solver_options given = options;
+        Call call{on_iteration, nullptr};
+        if (on_iteration) {
+            given.on_iteration = &Call::enter;
+            given.user_data = &call;
+        }
+        clba_result* made = nullptr;
+        const clba_status status = run(given, &made);
+        Result result(made);
+        if (call.thrown) std::rethrow_exception(call.thrown);
+        check(status);
+        return result;
+    }
+    template <class Run>
+    Removed remove(Run&& run) {
         const ProblemInfo before = info();
         Removed removed{detail::sized<clba_filter_report>(),
                         std::vector<int64_t>(static_cast<size_t>(before.num_observations)),
@@ -710,7 +791,7 @@ private:
         removed.counts.observation_rows = removed.observation_rows.data();
         removed.counts.point_rows = removed.point_rows.data();
         removed.counts.unobserved_images = removed.unobserved_images.data();
-        check(call(removed.counts));
+        check(run(removed.counts));
         removed.counts.observation_rows = nullptr;
         removed.counts.point_rows = removed.counts.unobserved_images = nullptr;
         return removed;

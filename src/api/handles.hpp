@@ -14,6 +14,7 @@
 #include "clba/clba.h"
 #include "device/context.hpp"
 #include "linear/device_problem.hpp"
+#include "problem/observation_index.hpp"
 #include "problem/problem.hpp"
 
 struct clba_context {
@@ -24,9 +25,11 @@ struct clba_context {
 struct clba_problem {
     std::atomic<int> references{1};
     clba::Problem problem;
-    // The problem on the device it was last used on; emptied when the structure changes. Keeps its
-    // context alive.
+    // The problem on the device it was last used on; emptied when the structure changes but by
+    // appended rows. Keeps its context alive.
     std::unique_ptr<clba::DeviceProblem> mirror;
+    // For windows; made by the first, emptied as the mirror, extended by appended rows.
+    std::unique_ptr<clba::ObservationIndex> index;
 };
 
 struct clba_cancellation {
@@ -84,17 +87,47 @@ inline void require_range(int64_t first, int64_t count, int64_t num_rows, const 
             " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
 }
 
-// Runs a change that checks everything before it touches the problem. The mirror on the device goes
-// unless the change returns false: only the state has changed.
+// What has changed of a problem, and so what of its mirror has to be made again.
+enum class Changed {
+    state,         // nothing
+    scales,        // constants and uncertainties
+    measurements,  // observations' values and covariances
+    rows_added,    // tiles and buffers, but images keep their ranks
+    structure      // all
+};
+
+inline void note_change(clba_problem& handle, Changed change) {
+    if (change == Changed::structure) {
+        handle.mirror.reset();
+        handle.index.reset();
+    }
+    if (change == Changed::rows_added && handle.index) {
+        try {
+            handle.index->extend(handle.problem);
+        } catch (const std::bad_alloc&) {
+            handle.index.reset();
+        }
+    }
+    if (!handle.mirror) return;
+    handle.mirror->is_stale.scales |= change == Changed::scales;
+    handle.mirror->is_stale.measurements |= change == Changed::measurements;
+    handle.mirror->is_stale.rows |= change == Changed::rows_added;
+}
+
+// Runs a change that checks everything before it touches the problem, and returns what it changed:
+// nothing says the structure, as true does; false only the state.
 template <class Change>
 clba_status changed(clba_problem* handle, Change&& change) {
     return guarded([&] {
         require_pointer(handle, "problem");
-        if constexpr (std::is_void_v<decltype(change(handle->problem))>) {
+        using Answer = decltype(change(handle->problem));
+        if constexpr (std::is_void_v<Answer>) {
             change(handle->problem);
-            handle->mirror.reset();
-        } else if (change(handle->problem)) {
-            handle->mirror.reset();
+            note_change(*handle, Changed::structure);
+        } else if constexpr (std::is_same_v<Answer, Changed>) {
+            note_change(*handle, change(handle->problem));
+        } else {
+            note_change(*handle, change(handle->problem) ? Changed::structure : Changed::state);
         }
     });
 }

@@ -10,6 +10,7 @@
 #include "linear/normal_equations.hpp"
 #include "optimizer/evaluator.hpp"
 #include "optimizer/solve.hpp"
+#include "problem/subproblem.hpp"
 
 namespace clba {
 namespace {
@@ -264,6 +265,50 @@ std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solv
     return result;
 }
 
+// The caller's options of a solve, checked.
+struct Request {
+    Request(const clba_solver_options* caller, const Context& context)
+        : given(copied_in(caller, default_solver_options(), "options")),
+          cancellation(given.cancellation),
+          options(minimizer_options(given)),
+          precision(used_precision(given.precision, context)) {
+        if (given.on_iteration)
+            options.on_iteration = [this](const IterationRow& row) {
+                const clba_iteration out = public_row(row);
+                return given.on_iteration(&out, given.user_data) == 0;
+            };
+    }
+    Request(const Request&) = delete;
+    Request& operator=(const Request&) = delete;
+
+    const clba_solver_options given;
+    const CancellationReference cancellation;
+    MinimizerOptions options;
+    const Precision precision;
+};
+
+clba_window default_window() {
+    clba_window window{};
+    window.struct_size = sizeof window;
+    return window;
+}
+
+Window window_of(const clba_window& given) {
+    require(given.num_images >= 0, "window.num_images = ", given.num_images,
+            ", but it must be >= 0");
+    require(given.num_points >= 0, "window.num_points = ", given.num_points,
+            ", but it must be >= 0");
+    require(given.points || given.num_points == 0,
+            "window.points is NULL, but window.num_points = ", given.num_points);
+    if (given.num_images > 0) require_pointer(given.images, "window.images");
+    Window window;
+    window.images.assign(given.images, given.images + given.num_images);
+    window.all_points = !given.points;
+    if (given.points) window.points.assign(given.points, given.points + given.num_points);
+    window.refine_shared_cameras = given.refine_shared_cameras != 0;
+    return window;
+}
+
 clba_evaluation default_evaluation() {
     clba_evaluation evaluation{};
     evaluation.struct_size = sizeof evaluation;
@@ -512,23 +557,47 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
     return guarded([&] {
         require_pointer(problem, "problem");
         require_pointer(context, "context");
-        const clba_solver_options given = copied_in(options, default_solver_options(), "options");
-        const CancellationReference cancellation(given.cancellation);
-        MinimizerOptions internal = minimizer_options(given);
-        const Precision precision = used_precision(given.precision, *context->context);
-        if (given.on_iteration)
-            internal.on_iteration = [&given](const IterationRow& row) {
-                const clba_iteration out = public_row(row);
-                return given.on_iteration(&out, given.user_data) == 0;
-            };
+        const Request request(options, *context->context);
         try {
-            const Summary summary =
-                solve(problem->problem, context->context, internal, precision, problem->mirror);
-            if (result) *result = make_result(summary, given).release();
+            const Summary summary = solve(problem->problem, context->context, request.options,
+                                          request.precision, problem->mirror);
+            if (result) *result = make_result(summary, request.given).release();
         } catch (...) {
             problem->mirror.reset();
             throw;
         }
+    });
+}
+
+clba_status clba_window_init(clba_window* window, size_t struct_size) {
+    return guarded([&] { init_struct(window, struct_size, default_window(), "window"); });
+}
+
+clba_status clba_problem_solve_window(clba_problem* problem, clba_context* context,
+                                      const clba_solver_options* options, clba_window* window,
+                                      clba_result** result) {
+    if (result) *result = nullptr;
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        require_pointer(context, "context");
+        require_pointer(window, "window");
+        clba_window described = copied_in(window, default_window(), "window");
+        const Request request(options, *context->context);
+        require(
+            !request.given.checkpoint_path && !request.given.resume_path,
+            "checkpoint_path and resume_path are for solves of whole problems; leave them NULL");
+        if (!problem->index) problem->index = std::make_unique<ObservationIndex>(problem->problem);
+        Subproblem part = extract(problem->problem, *problem->index, window_of(described));
+        std::unique_ptr<DeviceProblem> device;
+        const Summary summary =
+            solve(part.problem, context->context, request.options, request.precision, device);
+        auto made = result ? make_result(summary, request.given) : nullptr;
+        write_state_back(part, problem->problem);
+        described.num_free_points = part.num_free_points;
+        described.num_constant_images = part.num_constant_images;
+        described.num_observations = part.problem.num_observations();
+        copy_out(described, window, "window");
+        if (result) *result = made.release();
     });
 }
 

@@ -7,8 +7,10 @@
 namespace clba {
 namespace {
 
-TileOptions tile_options(const Context& context, Precision precision) {
+TileOptions tile_options(const Context& context, Precision precision,
+                         std::vector<int32_t> image_ranks) {
     TileOptions options;
+    options.image_ranks = std::move(image_ranks);
     options.max_points_per_tile = context.tuning.points_per_tile;
     options.compute_units = context.device().compute_units;
     options.lanes = context.tuning.lanes;
@@ -93,11 +95,11 @@ void download_pose(const float* values, Pose& pose) {
 }  // namespace
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
-                             Precision precision)
+                             Precision precision, std::vector<int32_t> image_ranks)
     : queue_(context),
       precision_(precision),
       layout_(problem),
-      tiles_(problem, layout_, tile_options(*context, precision)),
+      tiles_(problem, layout_, tile_options(*context, precision, std::move(image_ranks))),
       vectors_(queue_, precision),
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),
@@ -174,23 +176,49 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         }
         device_chunk.tile_points = Buffer(queue_, chunk.tile_points, "tiles");
         device_chunk.tile_num_points = Buffer(queue_, chunk.tile_num_points, "tiles");
-        if (has_point_scales(problem)) {
-            const int64_t n = chunk.num_point_slots;
-            std::vector<double> scale(static_cast<size_t>(3 * n), 1.0);
-            for (int64_t slot = 0; slot < n; ++slot) {
-                if (chunk.slot_point[slot] < 0) continue;
-                const auto of_point = point_scale(problem, chunk.slot_point[slot]);
-                for (int k = 0; k < 3; ++k) scale[k * n + slot] = of_point[k];
-            }
-            device_chunk.point_scale = upload_wide(scale, "point scales");
-        }
+        upload_point_scales(problem, chunk, device_chunk);
         for (const Segment& segment : chunk.segments)
-            device_chunk.segments.push_back(upload_segment(problem, segment));
+            device_chunk.segments.push_back(upload_segment(segment));
         chunks_.push_back(std::move(device_chunk));
+    }
+    upload_all_measurements(problem);
+}
+
+void DeviceProblem::upload_point_scales(const Problem& problem, const Chunk& chunk,
+                                        DeviceChunk& device_chunk) {
+    device_chunk.point_scale = Buffer();
+    if (!has_point_scales(problem)) return;
+    const int64_t n = chunk.num_point_slots;
+    std::vector<double> scale(static_cast<size_t>(3 * n), 1.0);
+    for (int64_t slot = 0; slot < n; ++slot) {
+        if (chunk.slot_point[slot] < 0) continue;
+        const auto of_point = point_scale(problem, chunk.slot_point[slot]);
+        for (int k = 0; k < 3; ++k) scale[k * n + slot] = of_point[k];
+    }
+    device_chunk.point_scale = upload_wide(scale, "point scales");
+}
+
+void DeviceProblem::upload_all_measurements(const Problem& problem) {
+    for (size_t c = 0; c < chunks_.size(); ++c)
+        for (size_t s = 0; s < chunks_[c].segments.size(); ++s)
+            upload_measurements(problem, tiles_.chunks[c].segments[s], chunks_[c].segments[s]);
+}
+
+void DeviceProblem::refresh(const Problem& problem) {
+    if (is_stale.scales) {
+        layout_ = ParameterLayout(problem);
+        write_wide(layout_.scale, scale_f);
+        for (size_t c = 0; c < chunks_.size(); ++c)
+            upload_point_scales(problem, tiles_.chunks[c], chunks_[c]);
+        is_stale.scales = false;
+    }
+    if (is_stale.measurements) {
+        upload_all_measurements(problem);
+        is_stale.measurements = false;
     }
 }
 
-DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segment& segment) {
+DeviceSegment DeviceProblem::upload_segment(const Segment& segment) {
     DeviceSegment device_segment;
     device_segment.model = segment.model;
     device_segment.num_columns = segment.num_columns();
@@ -214,12 +242,17 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.block_column = Buffer(queue_, segment.block_column, "block columns");
     device_segment.block_runs = Buffer(queue_, segment.block_runs, "block runs");
     device_segment.runs = Buffer(queue_, segment.runs, "block runs");
+    return device_segment;
+}
 
+void DeviceProblem::upload_measurements(const Problem& problem, const Segment& segment,
+                                        DeviceSegment& device_segment) {
     const auto fill = [&](Buffer& buffer, int rows, auto&& value) {
-        buffer = Buffer(queue_,
-                        wide_bytes(precision_) * static_cast<uint64_t>(rows) *
-                            static_cast<uint64_t>(segment.num_slots()),
-                        "observations");
+        if (!buffer)
+            buffer = Buffer(queue_,
+                            wide_bytes(precision_) * static_cast<uint64_t>(rows) *
+                                static_cast<uint64_t>(segment.num_slots()),
+                            "observations");
         for_wide([&](auto wide) {
             using Wide = decltype(wide);
             const auto mapping = buffer.map_write<Wide>();
@@ -235,10 +268,11 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
         const Observation& o = problem.observations[observation];
         return row == 0 ? o.x : o.y;
     });
-    if (!problem.whitening.empty())
+    if (problem.whitening.empty())
+        device_segment.whitening = Buffer();
+    else
         fill(device_segment.whitening, 3,
              [&](int64_t observation, int row) { return problem.whitening[observation][row]; });
-    return device_segment;
 }
 
 State DeviceProblem::make_state() {

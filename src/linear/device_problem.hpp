@@ -55,7 +55,9 @@ struct State {
 // is laid out on the device is translated to and from the caller's order here.
 class DeviceProblem {
 public:
-    DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
+    // image_ranks: of tiles, as in TileOptions.
+    DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision,
+                  std::vector<int32_t> image_ranks = {});
 
     Queue& queue() { return queue_; }
     Precision precision() const { return precision_; }
@@ -96,6 +98,13 @@ public:
         vectors_.read_wide(buffer, values, n);
     }
     void write_wide(const std::vector<double>& values, Buffer& buffer) const;  // all of it
+
+    // What the problem has changed since: the owner's note. refresh() brings scales and
+    // measurements up to date.
+    struct {
+        bool scales = false, measurements = false, rows = false;
+    } is_stale;
+    void refresh(const Problem& problem);
 
     State state, trial;
 
@@ -146,7 +155,11 @@ private:
     static const std::string& camera_model_path(int32_t model);
     Buffer upload_wide(const std::vector<double>& values, const char* label);
     void upload_structure(const Problem& problem);
-    DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
+    DeviceSegment upload_segment(const Segment& segment);
+    void upload_measurements(const Problem& problem, const Segment& segment,
+                             DeviceSegment& device_segment);
+    void upload_point_scales(const Problem& problem, const Chunk& chunk, DeviceChunk& device_chunk);
+    void upload_all_measurements(const Problem& problem);
     State make_state();
     int pose_values() const { return 4 + 3 * position_parts(precision_); }
     template <class Visit>

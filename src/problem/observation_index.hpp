@@ -7,9 +7,9 @@
 
 namespace clba {
 
-// The observations of each image and of each point, and how many images use each camera, for problems
-// that grow: rows that are appended cost as much as they are, however large the problem is. Each list
-// is a chain from the latest observation to the first.
+// The observations of each image and of each point, and how many images use each camera, for
+// problems that grow: rows that are appended cost as much as they are, however large the problem
+// is. Each list is a chain from the latest observation to the first.
 class ObservationIndex {
 public:
     explicit ObservationIndex(const Problem& problem) { extend(problem); }

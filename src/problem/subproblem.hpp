@@ -8,8 +8,8 @@
 
 namespace clba {
 
-// Rows of a problem, each list ascending. They must be closed: images of the observations, cameras of
-// the images.
+// Rows of a problem, each list ascending. They must be closed: images of the observations, cameras
+// of the images.
 struct RowSelection {
     std::vector<int32_t> cameras, images, points, observations;
 };
@@ -20,22 +20,22 @@ Problem select_rows(const Problem& problem, const RowSelection& rows);
 // What is refined of a map, while the rest stays.
 struct Window {
     std::vector<int32_t> images;
-    std::vector<int32_t> points;  // counts only if all_points is false
-    bool all_points = true;       // that the images see
+    std::vector<int32_t> points;         // counts only if all_points is false
+    bool all_points = true;              // that the images see
     bool refine_shared_cameras = false;  // that images outside the window use too
 };
 
-// The window's images and points with all the observations that they take part in. What these refer to
-// besides is constant: images outside the window that see its points, points outside it that its images
-// see, and cameras that images outside use.
+// The window's images and points with all the observations that they take part in. What these refer
+// to besides is constant: images outside the window that see its points, points outside it that its
+// images see, and cameras that images outside use.
 struct Subproblem {
     RowSelection rows;
     Problem problem;
     int32_t num_constant_images = 0, num_free_points = 0;
 };
 
-// Costs as much as the window, its points' tracks included. Throws where the window names a row that
-// does not exist or names it twice.
+// Costs as much as the window, its points' tracks included. Throws where the window names a row
+// that does not exist or names it twice.
 Subproblem extract(const Problem& problem, const ObservationIndex& index, const Window& window);
 
 // Copies the state back that a solve may have changed. It changes nothing else of the problem.

@@ -59,3 +59,9 @@ def test_gps_weights(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_own_loop(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine, theirs = run(package, monkeypatch, "own_loop")
     assert mine == pytest.approx(theirs, rel=1e-6)
+
+
+def test_incremental(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked, local, everything = run(package, monkeypatch, "incremental", "16")
+    assert local < tracked / 3
+    assert everything < tracked / 3

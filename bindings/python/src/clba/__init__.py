@@ -30,6 +30,7 @@ from clba._problem import Comparison, Problem
 from clba._solve import solve
 from clba._summary import Iteration, Summary
 from clba._version import __version__
+from clba._window import Window
 
 __all__ = [
     "PARAM_NAMES",
@@ -52,6 +53,7 @@ __all__ = [
     "OutOfMemoryError",
     "Problem",
     "Summary",
+    "Window",
     "__version__",
     "devices",
     "plot",

@@ -209,6 +209,22 @@ class Summary(Structure):
     ]
 
 
+class Window(Structure):
+    """clba_window"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("refine_shared_cameras", c_int32),
+        ("num_images", c_int32),
+        ("num_points", c_int32),
+        ("images", POINTER(c_int32)),
+        ("points", POINTER(c_int32)),
+        ("num_free_points", c_int32),
+        ("num_constant_images", c_int32),
+        ("num_observations", c_int64),
+    ]
+
+
 class Evaluation(Structure):
     """clba_evaluation"""
 
@@ -306,6 +322,7 @@ STRUCTS: dict[str, type[Structure]] = {
         Iteration,
         SolverOptions,
         Summary,
+        Window,
         Evaluation,
         FilterOptions,
         FilterReport,
@@ -358,6 +375,30 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     ),
     "clba_problem_set_covariances": (_status, [_problem, c_int64, _doubles, c_size_t]),
     "clba_problem_set_sigmas": (_status, [_problem, c_int64, _doubles, c_size_t]),
+    "clba_problem_add_cameras": (
+        _status,
+        [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t],
+    ),
+    "clba_problem_add_images": (
+        _status,
+        [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t],
+    ),
+    "clba_problem_add_points": (_status, [_problem, c_int32, _doubles, c_size_t]),
+    "clba_problem_add_observations": (
+        _status,
+        [
+            _problem,
+            c_int64,
+            _int32s,
+            c_size_t,
+            _int32s,
+            c_size_t,
+            _doubles,
+            c_size_t,
+            _doubles,
+            c_size_t,
+        ],
+    ),
     "clba_problem_get_cameras": (
         _status,
         [_problem, c_int32, c_int32, _int32s, c_size_t, _doubles, c_size_t],
@@ -395,6 +436,11 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "clba_problem_solve": (
         _status,
         [_problem, _context, POINTER(SolverOptions), POINTER(_result)],
+    ),
+    "clba_window_init": (_status, [POINTER(Window), c_size_t]),
+    "clba_problem_solve_window": (
+        _status,
+        [_problem, _context, POINTER(SolverOptions), POINTER(Window), POINTER(_result)],
     ),
     "clba_result_release": (None, [_result]),
     "clba_result_get_summary": (_status, [_result, POINTER(Summary)]),

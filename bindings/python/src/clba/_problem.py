@@ -267,6 +267,115 @@ class Problem:
         check(lib.clba_problem_generate(byref(options), byref(start), byref(truth)))
         return cls._of(start), cls._of(truth)
 
+    # ---- Growing -------------------------------------------------------------------------------
+
+    def add_cameras(
+        self,
+        camera_models: str | Sequence[str],
+        camera_params: npt.ArrayLike | Sequence[Sequence[float]],
+    ) -> range:
+        """Appends cameras, as in ``from_arrays``, and returns their indices."""
+        models, params = _camera_rows(camera_models, camera_params)
+        with self._use() as handle:
+            first = problem_info(handle).num_cameras
+            check(
+                lib.clba_problem_add_cameras(
+                    handle,
+                    len(models),
+                    pointer(models, c_int32),
+                    stride(models),
+                    pointer(params, c_double),
+                    stride(params),
+                ),
+                params="camera_params",
+                models="camera_models",
+            )
+            self._colmap_ids = None
+            return range(first, first + len(models))
+
+    def add_images(self, poses: npt.ArrayLike, camera_indices: npt.ArrayLike) -> range:
+        """Appends images, whose poses are free, and returns their indices.
+
+        Args:
+            poses: (n, 7), camera from world: qw, qx, qy, qz, tx, ty, tz.
+            camera_indices: (n,), the camera of each.
+        """
+        rows = _arrays.doubles(poses, (None, 7), "poses")
+        with self._use() as handle:
+            info = problem_info(handle)
+            cameras = _arrays.indices(
+                camera_indices, len(rows), info.num_cameras, "camera_indices", "cameras"
+            )
+            check(
+                lib.clba_problem_add_images(
+                    handle,
+                    len(rows),
+                    pointer(cameras, c_int32),
+                    stride(cameras),
+                    pointer(rows, c_double),
+                    stride(rows),
+                )
+            )
+            self._colmap_ids = None
+            return range(info.num_images, info.num_images + len(rows))
+
+    def add_points(self, points: npt.ArrayLike) -> range:
+        """Appends points, (n, 3), which are free, and returns their indices."""
+        rows = _arrays.doubles(points, (None, 3), "points")
+        with self._use() as handle:
+            first = problem_info(handle).num_points
+            check(
+                lib.clba_problem_add_points(
+                    handle, len(rows), pointer(rows, c_double), stride(rows)
+                ),
+                xyz="points",
+            )
+            self._colmap_ids = None
+            return range(first, first + len(rows))
+
+    def add_observations(
+        self,
+        image_indices: npt.ArrayLike,
+        point_indices: npt.ArrayLike,
+        pixels: npt.ArrayLike,
+        covariances: npt.ArrayLike | None = None,
+    ) -> range:
+        """Appends observations and returns their indices.
+
+        Args:
+            image_indices, point_indices: (n,), which image saw which point.
+            pixels: (n, 2), where.
+            covariances: (n, 3), rows xx, xy, yy in squared pixels; None: the identity.
+        """
+        with self._use() as handle:
+            info = problem_info(handle)
+            images = _arrays.indices(
+                image_indices, None, info.num_images, "image_indices", "images"
+            )
+            points = _arrays.indices(
+                point_indices, len(images), info.num_points, "point_indices", "points"
+            )
+            xy = _arrays.doubles(pixels, (len(images), 2), "pixels")
+            rows = None
+            if covariances is not None:
+                rows = _arrays.doubles(covariances, (len(images), 3), "covariances")
+            check(
+                lib.clba_problem_add_observations(
+                    handle,
+                    len(images),
+                    pointer(images, c_int32),
+                    stride(images),
+                    pointer(points, c_int32),
+                    stride(points),
+                    pointer(xy, c_double),
+                    stride(xy),
+                    _NO_DOUBLES if rows is None else pointer(rows, c_double),
+                    0 if rows is None else stride(rows),
+                ),
+                xy="pixels",
+            )
+            return range(info.num_observations, info.num_observations + len(images))
+
     # ---- Files ---------------------------------------------------------------------------------
 
     def to_bal(self, path: str | os.PathLike[str]) -> None:
@@ -359,7 +468,7 @@ class Problem:
     def centers(self) -> Doubles:
         """(num_images, 3) camera centres in world coordinates."""
         with self._use() as handle:
-            count = _info(handle).num_images
+            count = problem_info(handle).num_images
             centers = np.empty((count, 3))
             check(lib.clba_problem_get_centers(handle, 0, count, pointer(centers, c_double), 0))
             return centers
@@ -368,7 +477,7 @@ class Problem:
     def points(self) -> Doubles:
         """(num_points, 3) world coordinates. It may be set to as many rows."""
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             points = np.empty((count, 3))
             check(lib.clba_problem_get_points(handle, 0, count, pointer(points, c_double), 0))
             return points
@@ -376,14 +485,14 @@ class Problem:
     @points.setter
     def points(self, values: npt.ArrayLike) -> None:
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             _set_points(handle, _arrays.doubles(values, (count, 3), "points"))
 
     @property
     def image_indices(self) -> Int32s:
         """(num_observations,) the image of each observation."""
         with self._use() as handle:
-            images = np.empty(_info(handle).num_observations, np.int32)
+            images = np.empty(problem_info(handle).num_observations, np.int32)
             _get_observations(handle, len(images), images=images)
             return images
 
@@ -391,7 +500,7 @@ class Problem:
     def point_indices(self) -> Int32s:
         """(num_observations,) the point of each observation."""
         with self._use() as handle:
-            points = np.empty(_info(handle).num_observations, np.int32)
+            points = np.empty(problem_info(handle).num_observations, np.int32)
             _get_observations(handle, len(points), points=points)
             return points
 
@@ -399,7 +508,7 @@ class Problem:
     def pixels(self) -> Doubles:
         """(num_observations, 2) where the points were seen."""
         with self._use() as handle:
-            pixels = np.empty((_info(handle).num_observations, 2))
+            pixels = np.empty((problem_info(handle).num_observations, 2))
             _get_observations(handle, len(pixels), pixels=pixels)
             return pixels
 
@@ -417,7 +526,7 @@ class Problem:
             sigmas: (num_observations,) in pixels, > 0; one number for all; None: all 1.
         """
         with self._use() as handle:
-            count = 0 if sigmas is None else _info(handle).num_observations
+            count = 0 if sigmas is None else problem_info(handle).num_observations
             values = np.ones(0) if sigmas is None else sigmas
             if np.ndim(values) == 0:
                 values = np.full(count, values)
@@ -435,7 +544,7 @@ class Problem:
             if covariances is None:
                 check(lib.clba_problem_set_covariances(handle, 0, _NO_DOUBLES, 0))
                 return
-            count = _info(handle).num_observations
+            count = problem_info(handle).num_observations
             rows = _arrays.doubles(covariances, (count, 3), "covariances")
             check(
                 lib.clba_problem_set_covariances(
@@ -467,7 +576,7 @@ class Problem:
             position: images whose camera centre stays, likewise.
         """
         with self._use() as handle:
-            count = _info(handle).num_images
+            count = problem_info(handle).num_images
             flags = _arrays.mask(rotation, count, "rotation").astype(np.int32)
             flags += 2 * _arrays.mask(position, count, "position").astype(np.int32)
             check(lib.clba_problem_set_constant_images(handle, count, pointer(flags, c_int32), 0))
@@ -523,7 +632,7 @@ class Problem:
             points: True for all, None for none, a boolean array (num_points,), or indices.
         """
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             flags = _arrays.mask(points, count, "points").astype(np.int32)
             check(lib.clba_problem_set_constant_points(handle, count, pointer(flags, c_int32), 0))
 
@@ -547,7 +656,7 @@ class Problem:
         What is None is set to 1. An array that numpy can broadcast to its shape will do.
         """
         with self._use() as handle:
-            info = _info(handle)
+            info = problem_info(handle)
             most = _params(handle).shape[1] if cameras is not None else 0
             for values, shape, name, function in (
                 (images, (info.num_images, 6), "images", lib.clba_problem_set_image_uncertainties),
@@ -578,7 +687,7 @@ class Problem:
         """
         value = _names.value_of(_names.ERROR_UNITS, unit, "unit")
         with self._use() as handle:
-            errors = np.empty(_info(handle).num_observations)
+            errors = np.empty(problem_info(handle).num_observations)
             check(
                 lib.clba_problem_get_reprojection_errors(
                     handle, value, 0, len(errors), pointer(errors, c_double), 0
@@ -619,7 +728,7 @@ class Problem:
         )
         with self._use() as handle:
             report = _filter.run(
-                _info(handle),
+                problem_info(handle),
                 lambda to: lib.clba_problem_filter(handle, byref(options), to),
             )
             self._forget_points(report)
@@ -635,7 +744,7 @@ class Problem:
             remove_points: remove the points that are left without observations, too.
         """
         with self._use() as handle:
-            info = _info(handle)
+            info = problem_info(handle)
             mask = _arrays.mask(observations, info.num_observations, "observations")
             flags = mask.astype(np.int32)
             report = _filter.run(
@@ -683,7 +792,7 @@ class Problem:
             return _evaluation.evaluate(
                 handle,
                 context_handle,
-                _info(handle),
+                problem_info(handle),
                 precision=value,
                 apply_loss=apply_loss,
                 residuals=residuals,
@@ -692,7 +801,7 @@ class Problem:
             )
 
     def _jacobian_structure(self, handle: Any) -> _evaluation.Structure:
-        info = _info(handle)
+        info = problem_info(handle)
         pose_offsets = np.empty(info.num_images, np.int64)
         intrinsics_offsets = np.empty(info.num_cameras, np.int64)
         check(
@@ -727,7 +836,7 @@ class Problem:
             return (
                 structure.pose_offsets,
                 structure.intrinsics_offsets,
-                int(_info(handle).num_image_camera_parameters),
+                int(problem_info(handle).num_image_camera_parameters),
             )
 
     def apply_step(self, step: npt.ArrayLike) -> None:
@@ -737,7 +846,7 @@ class Problem:
             step: (num_parameters,); constant parameters stay.
         """
         with self._use() as handle:
-            values = _arrays.doubles(step, (_info(handle).num_parameters,), "step")
+            values = _arrays.doubles(step, (problem_info(handle).num_parameters,), "step")
             values = np.ascontiguousarray(values)
             check(lib.clba_problem_apply_step(handle, pointer(values, c_double)))
 
@@ -827,10 +936,10 @@ class Problem:
 
     def _info(self) -> _ffi.ProblemInfo:
         with self._use() as handle:
-            return _info(handle)
+            return problem_info(handle)
 
 
-def _info(handle: Any) -> _ffi.ProblemInfo:
+def problem_info(handle: Any) -> _ffi.ProblemInfo:
     info = _ffi.sized(_ffi.ProblemInfo)
     check(lib.clba_problem_get_info(handle, byref(info)))
     return info
@@ -927,7 +1036,7 @@ def _set_points(handle: Any, points: Doubles) -> None:
 
 
 def _models(handle: Any) -> Int32s:
-    models = np.empty(_info(handle).num_cameras, np.int32)
+    models = np.empty(problem_info(handle).num_cameras, np.int32)
     check(
         lib.clba_problem_get_cameras(
             handle, 0, len(models), pointer(models, c_int32), 0, _NO_DOUBLES, 0
@@ -949,7 +1058,7 @@ def _params(handle: Any) -> Doubles:
 
 
 def _images(handle: Any) -> tuple[Int32s, Doubles]:
-    count = _info(handle).num_images
+    count = problem_info(handle).num_images
     cameras, poses = np.empty(count, np.int32), np.empty((count, 7))
     check(
         lib.clba_problem_get_images(

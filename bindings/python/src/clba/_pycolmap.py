@@ -91,7 +91,10 @@ def update(problem: Problem, reconstruction: pycolmap.Reconstruction) -> None:
     import pycolmap
 
     if problem._colmap_ids is None:
-        raise ValueError("the problem was not made by from_pycolmap, so it has no reconstruction")
+        raise ValueError(
+            "the problem was not made by from_pycolmap, or cameras, images or points were added to "
+            "it since, so it has no reconstruction"
+        )
     camera_ids, image_ids, point_ids = problem._colmap_ids
     models = problem.camera_models
     for kind, ids, known in (

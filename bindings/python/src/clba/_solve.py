@@ -9,13 +9,14 @@ from collections.abc import Callable
 from ctypes import byref
 from typing import Any
 
-from clba import _ffi, _names, _summary
+from clba import _ffi, _names, _summary, _window
 from clba._cancellation import Cancellation
 from clba._devices import Context, context_of
 from clba._ffi import check, lib
 from clba._interrupt import DeferredInterrupt
-from clba._problem import Problem
+from clba._problem import Problem, problem_info
 from clba._summary import Iteration, Summary
+from clba._window import Window
 
 Callback = Callable[[Iteration], "bool | None"]
 
@@ -23,6 +24,7 @@ Callback = Callable[[Iteration], "bool | None"]
 def solve(
     problem: Problem,
     *,
+    window: Window | None = None,
     device: int | str | Context | None = None,
     linear_solver: _names.LinearSolver = "auto",
     preconditioner: _names.Preconditioner = "default",
@@ -59,6 +61,9 @@ def solve(
 
     Args:
         problem: changed in place.
+        window: refines this part alone, at a cost that depends on it and not on the problem: its
+            images, the points they see and the cameras that no other image uses are free, and
+            what else takes part in their observations is constant. The summary is of this part.
         device: an index, a part of a platform's or device's name, or a ``clba.Context``; by default
             the environment variable CLBA_DEVICE, else the best device.
         linear_solver: "auto", "pcg_schur" (implicit Schur complement), "explicit_schur" (formed,
@@ -142,17 +147,20 @@ def solve(
         cancellation = Cancellation()
     elif not isinstance(cancellation, Cancellation):
         raise TypeError(f"cancellation = {cancellation!r}, but it must be a clba.Cancellation")
+    if window is not None and not isinstance(window, Window):
+        raise TypeError(f"window = {window!r}, but it must be a clba.Window")
     context = context_of(device)
     if not progress:
-        return _run(problem, context, options, callback, cancellation)
+        return _run(problem, window, context, options, callback, cancellation)
     from clba._progress import Progress
 
     with Progress(options.max_num_iterations) as bar:
-        return _run(problem, context, options, bar.before(callback), cancellation)
+        return _run(problem, window, context, options, bar.before(callback), cancellation)
 
 
 def _run(
     problem: Problem,
+    window: Window | None,
     context: Context,
     options: _ffi.SolverOptions,
     callback: Callback | None,
@@ -174,7 +182,16 @@ def _run(
     result = ctypes.POINTER(_ffi.ResultHandle)()
     with DeferredInterrupt(cancellation) as interrupt:
         with problem._solving() as handle, context._use() as context_handle:
-            check(lib.clba_problem_solve(handle, context_handle, byref(options), byref(result)))
+            if window is None:
+                status = lib.clba_problem_solve(
+                    handle, context_handle, byref(options), byref(result)
+                )
+            else:
+                rows = _window.Rows(window, problem_info(handle))
+                status = lib.clba_problem_solve_window(
+                    handle, context_handle, byref(options), byref(rows.struct), byref(result)
+                )
+            check(status)
         try:
             summary = _summary.summary(result)
         finally:
