@@ -110,23 +110,28 @@ void measure(const clba::Context& context, int32_t num_images) {
         }));
     print("an image appended, and a window on the latest", median(seconds));
 
-    // What a solve of one iteration takes besides.
-    const auto setup = [&] {
-        return problem.solve(context, options_of(0)).summary().setup_seconds;
+    // What a solve of all takes before its first iteration.
+    const auto setup_after = [&](const char* label, auto&& change) {
+        std::vector<double> times;
+        for (int32_t i = 0; i < num_repeats; ++i) {
+            change();
+            times.push_back(problem.solve(context, options_of(0)).summary().setup_seconds);
+        }
+        print(label, median(times));
     };
-    print("set-up of a solve of all: first", setup());
-    print("  again", setup());
     const std::vector<int32_t> none(static_cast<size_t>(problem.info().num_images), 0);
-    problem.set_constant_images(none);
-    print("  constants changed", setup());
-    last_image.append_to(problem);
-    print("  an image appended", setup());
+    setup_after("set-up of a solve of all: nothing changed", [] {});
+    setup_after("  constants changed", [&] { problem.set_constant_images(none); });
+    setup_after("  an image appended", [&] { last_image.append_to(problem); });
     const clba::Observations all = problem.observations();
-    std::vector<int32_t> reversed_images(all.images.rbegin(), all.images.rend());
-    std::vector<int32_t> reversed_points(all.points.rbegin(), all.points.rend());
-    std::vector<std::array<double, 2>> reversed_xy(all.xy.rbegin(), all.xy.rend());
-    problem.set_observations(reversed_images, reversed_points, reversed_xy);
-    print("  another structure", setup());
+    clba::Observations other = all;
+    for (auto* rows : {&other.images, &other.points}) std::reverse(rows->begin(), rows->end());
+    std::reverse(other.xy.begin(), other.xy.end());
+    int32_t turn = 0;
+    setup_after("  other observations", [&] {
+        const clba::Observations& next = turn++ % 2 == 0 ? other : all;
+        problem.set_observations(next.images, next.points, next.xy);
+    });
 }
 
 }  // namespace

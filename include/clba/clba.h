@@ -184,10 +184,7 @@ CLBA_API clba_status clba_problem_set_sigmas(clba_problem* problem, int64_t coun
                                              const double* sigmas, size_t stride);
 
 /* Appends rows; those before keep their index, so the first new one is the number of rows before.
- * They are free, have uncertainties of 1 and, where covariances is NULL, the identity. A problem
- * that grows keeps the order in which a device works through its images, until it has grown to
- * twice the size: so its solves may differ by rounding from those of a problem that was set at
- * once. */
+ * They are free, have uncertainties of 1 and, where covariances is NULL, the identity. */
 CLBA_API clba_status clba_problem_add_cameras(clba_problem* problem, int32_t count,
                                               const int32_t* models, size_t models_stride,
                                               const double* params, size_t params_stride);

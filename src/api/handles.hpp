@@ -25,10 +25,10 @@ struct clba_context {
 struct clba_problem {
     std::atomic<int> references{1};
     clba::Problem problem;
-    // The problem on the device it was last used on; emptied when the structure changes but by
-    // appended rows. Keeps its context alive.
+    // The problem on the device it was last used on; emptied when the structure changes. Keeps its
+    // context alive.
     std::unique_ptr<clba::DeviceProblem> mirror;
-    // For windows; made by the first, emptied as the mirror, extended by appended rows.
+    // For windows; made by the first, and emptied as the mirror, but extended by appended rows.
     std::unique_ptr<clba::ObservationIndex> index;
 };
 
@@ -92,15 +92,13 @@ enum class Changed {
     state,         // nothing
     scales,        // constants and uncertainties
     measurements,  // observations' values and covariances
-    rows_added,    // tiles and buffers, but images keep their ranks
+    rows_added,    // the mirror, but not the lists of observations
     structure      // all
 };
 
 inline void note_change(clba_problem& handle, Changed change) {
-    if (change == Changed::structure) {
-        handle.mirror.reset();
-        handle.index.reset();
-    }
+    if (change == Changed::structure || change == Changed::rows_added) handle.mirror.reset();
+    if (change == Changed::structure) handle.index.reset();
     if (change == Changed::rows_added && handle.index) {
         try {
             handle.index->extend(handle.problem);
@@ -111,7 +109,6 @@ inline void note_change(clba_problem& handle, Changed change) {
     if (!handle.mirror) return;
     handle.mirror->is_stale.scales |= change == Changed::scales;
     handle.mirror->is_stale.measurements |= change == Changed::measurements;
-    handle.mirror->is_stale.rows |= change == Changed::rows_added;
 }
 
 // Runs a change that checks everything before it touches the problem, and returns what it changed:

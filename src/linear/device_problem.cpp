@@ -7,10 +7,8 @@
 namespace clba {
 namespace {
 
-TileOptions tile_options(const Context& context, Precision precision,
-                         std::vector<int32_t> image_ranks) {
+TileOptions tile_options(const Context& context, Precision precision) {
     TileOptions options;
-    options.image_ranks = std::move(image_ranks);
     options.max_points_per_tile = context.tuning.points_per_tile;
     options.compute_units = context.device().compute_units;
     options.lanes = context.tuning.lanes;
@@ -95,11 +93,11 @@ void download_pose(const float* values, Pose& pose) {
 }  // namespace
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
-                             Precision precision, std::vector<int32_t> image_ranks)
+                             Precision precision)
     : queue_(context),
       precision_(precision),
       layout_(problem),
-      tiles_(problem, layout_, tile_options(*context, precision, std::move(image_ranks))),
+      tiles_(problem, layout_, tile_options(*context, precision)),
       vectors_(queue_, precision),
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),

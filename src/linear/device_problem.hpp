@@ -55,9 +55,7 @@ struct State {
 // is laid out on the device is translated to and from the caller's order here.
 class DeviceProblem {
 public:
-    // image_ranks: of tiles, as in TileOptions.
-    DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision,
-                  std::vector<int32_t> image_ranks = {});
+    DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
 
     Queue& queue() { return queue_; }
     Precision precision() const { return precision_; }
@@ -99,10 +97,9 @@ public:
     }
     void write_wide(const std::vector<double>& values, Buffer& buffer) const;  // all of it
 
-    // What the problem has changed since: the owner's note. refresh() brings scales and
-    // measurements up to date.
+    // What the problem has changed since: the owner's note. refresh() brings it up to date.
     struct {
-        bool scales = false, measurements = false, rows = false;
+        bool scales = false, measurements = false;
     } is_stale;
     void refresh(const Problem& problem);
 

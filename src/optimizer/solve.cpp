@@ -58,13 +58,10 @@ CheckpointKey open_checkpoints(const Problem& problem, const MinimizerOptions& o
 
 DeviceProblem& mirror(const Problem& problem, const std::shared_ptr<Context>& context,
                       Precision precision, std::unique_ptr<DeviceProblem>& device) {
-    if (!device || device->is_stale.rows || &device->queue().context() != context.get() ||
+    if (!device || &device->queue().context() != context.get() ||
         device->precision() != precision) {
-        std::vector<int32_t> image_ranks;
-        if (device) image_ranks = device->tiles().image_ranks;
         device.reset();
-        device =
-            std::make_unique<DeviceProblem>(context, problem, precision, std::move(image_ranks));
+        device = std::make_unique<DeviceProblem>(context, problem, precision);
     }
     device->refresh(problem);
     device->upload_state(problem);

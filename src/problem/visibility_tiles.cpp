@@ -190,11 +190,8 @@ public:
         : options_(options),
           models_(problem),
           visibility_(problem),
-          ranks_(known_ranks(problem.num_images())),
-          order_(ordered_points(visibility_, all_ranks(problem.num_images()))),
+          order_(ordered_points(visibility_, image_ranks(visibility_, problem.num_images()))),
           readers_(static_cast<size_t>(num_workers())) {}
-
-    const std::vector<int32_t>& ranks() const { return ranks_; }
 
     void build(std::vector<Chunk>& chunks) {
         if (order_.empty()) return;
@@ -212,17 +209,6 @@ public:
     }
 
 private:
-    std::vector<int32_t> known_ranks(int32_t num_images) const {
-        const auto num_ranked = static_cast<int64_t>(options_.image_ranks.size());
-        return num_ranked <= num_images && num_images < 2 * num_ranked
-                   ? options_.image_ranks
-                   : image_ranks(visibility_, num_images);
-    }
-    std::vector<int32_t> all_ranks(int32_t num_images) const {
-        std::vector<int32_t> ranks = ranks_;
-        for (auto i = static_cast<int32_t>(ranks.size()); i < num_images; ++i) ranks.push_back(i);
-        return ranks;
-    }
     TileReader& reader(int worker) {
         std::unique_ptr<TileReader>& reader = readers_[worker];
         if (!reader)
@@ -337,7 +323,6 @@ private:
     const TileOptions& options_;
     const Models models_;
     const Visibility visibility_;
-    const std::vector<int32_t> ranks_;
     const std::vector<int32_t> order_;
     std::vector<std::unique_ptr<TileReader>> readers_;
     std::vector<Tile> tiles_;
@@ -380,9 +365,7 @@ VisibilityTiles::VisibilityTiles(const Problem& problem, const ParameterLayout& 
     };
     require_tile_size(options.points_per_tile, 0, "points_per_tile");
     require_tile_size(options.max_points_per_tile, 1, "max_points_per_tile");
-    Builder builder(problem, options);
-    builder.build(chunks);
-    image_ranks = builder.ranks();
+    Builder(problem, options).build(chunks);
 
     std::vector<int32_t> block_of_image(problem.images.size(), -1);
     std::vector<int32_t> block_of_camera(problem.cameras.size(), -1);

@@ -15,9 +15,6 @@ struct TileOptions {
     int lanes = 16;                          // runs and tiles are padded to a multiple of this
     int64_t bytes_per_value = 8;             // of a stored Jacobian
     uint64_t max_buffer_bytes = UINT64_MAX;  // a chunk's largest buffer stays below this
-    // Ranks of the first images of a problem that has grown (point_order.hpp): the others follow
-    // them in the caller's order. Empty, or of fewer than half of the images: found anew.
-    std::vector<int32_t> image_ranks;
 };
 
 // The observations that one image makes of one tile's points, no point twice: slots
@@ -67,8 +64,7 @@ struct VisibilityTiles {
                     const TileOptions& options);
 
     std::vector<Chunk> chunks;
-    std::vector<int32_t> image_ranks;  // that were found, of all images or the first
-    int64_t num_slots = 0;             // of all segments, padding included
+    int64_t num_slots = 0;  // of all segments, padding included
 };
 
 }  // namespace clba
