@@ -12,6 +12,9 @@
 
 namespace clba {
 
+template <class Real>
+class BlockInverse;
+
 // A = L L^T on the host for a sparse symmetric positive definite matrix of blocks, by fronts
 // (multifrontal), for values that change and a pattern that does not. For one caller at a time.
 // Results have the same bits for every number of threads that leads to the same order of
@@ -34,11 +37,16 @@ public:
     bool factorize(const Real* values);
     // A x = b with the last factor, which must have been positive definite. x may be b.
     void solve(const Real* b, Real* x);
+    // Of the last factor, by row of the matrix: what was left of each diagonal entry when it was
+    // eliminated.
+    void get_pivots(Real* pivots) const;
 
     int64_t num_factor_values() const { return num_factor_values_; }  // with zeros that are stored
     double factor_flops() const { return factor_flops_; }             // on those values
 
 private:
+    friend class BlockInverse<Real>;
+
     // A block of the matrix and where its first entry goes in the panel of its front.
     struct Source {
         int64_t value, target;

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "base/error.hpp"
@@ -55,8 +56,10 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
     DeviceProblem& device = equations.problem();
     Queue& queue = device.queue();
     const ParameterLayout& layout = device.layout();
-    has_constants_ = std::any_of(layout.scale.begin(), layout.scale.end(),
-                                 [](double scale) { return !(scale > 0); });
+    const auto is_constant = [](double scale) { return !(scale > 0); };
+    if (std::any_of(layout.scale.begin(), layout.scale.end(), is_constant))
+        std::transform(layout.scale.begin(), layout.scale.end(), std::back_inserter(is_constant_),
+                       is_constant);
     if (has_shared_cameras_) list_targets(problem, pattern_);
     if (!is_in_place()) values_.resize(static_cast<size_t>(cholesky_.num_values()));
     std::vector<int32_t> rows, columns;
@@ -161,42 +164,41 @@ void ExplicitSchur::form_blocks() {
     }
 }
 
-// Adds lambda D^2, and leaves constants out.
-void ExplicitSchur::finish_values(double lambda, double* values) {
+void ExplicitSchur::leave_out(const std::vector<char>& is_left_out, double* values) const {
     const ParameterLayout& layout = equations_.problem().layout();
-    const auto is_free = [&](int32_t scalar) { return layout.scale[scalar] > 0; };
     for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
         const ParameterBlock& block = layout.blocks[row];
-        for (int64_t entry = pattern_.row_begin[row];
-             has_constants_ && entry < pattern_.row_begin[row + 1]; ++entry) {
+        for (int64_t entry = pattern_.row_begin[row]; entry < pattern_.row_begin[row + 1];
+             ++entry) {
             const ParameterBlock& other = layout.blocks[pattern_.columns[entry]];
             double* at = values + cholesky_.value_offset(entry);
             for (int32_t r = 0; r < block.size; ++r)
                 for (int32_t c = 0; c < other.size; ++c)
-                    if (!is_free(block.offset + r) || !is_free(other.offset + c))
-                        at[r * other.size + c] = 0;
-        }
-        double* diagonal = values + cholesky_.value_offset(pattern_.row_begin[row + 1] - 1);
-        for (int32_t k = 0; k < block.size; ++k) {
-            double& value = diagonal[k * (block.size + 1)];
-            value = is_free(block.offset + k) ? value + lambda * damping_[block.offset + k] : 1.0;
+                    if (is_left_out[block.offset + r] || is_left_out[other.offset + c])
+                        at[r * other.size + c] = block.offset + r == other.offset + c ? 1.0 : 0.0;
         }
     }
 }
 
-bool ExplicitSchur::factorize(double lambda, double& seconds) {
-    const auto timed = [&](const double* values) {
-        const Stopwatch watch;
-        const bool is_definite = cholesky_.factorize(values);
-        seconds += watch.seconds();
-        return is_definite;
-    };
+// Adds lambda D^2, and leaves constants out.
+void ExplicitSchur::finish_values(double lambda, double* values) {
+    const ParameterLayout& layout = equations_.problem().layout();
+    for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
+        const ParameterBlock& block = layout.blocks[row];
+        double* diagonal = values + cholesky_.value_offset(pattern_.row_begin[row + 1] - 1);
+        for (int32_t k = 0; k < block.size; ++k)
+            diagonal[k * (block.size + 1)] += lambda * damping_[block.offset + k];
+    }
+    if (!is_constant_.empty()) leave_out(is_constant_, values);
+}
+
+void ExplicitSchur::use_values(double lambda, const std::function<void(double*)>& use) {
     DeviceProblem& device = equations_.problem();
     device.read_wide(equations_.damping().f, damping_, damping_.size());
     if (is_in_place()) {
         const auto blocks = blocks_.map_update<double>();
         finish_values(lambda, blocks.data());
-        return timed(blocks.data());
+        return use(blocks.data());
     }
     with_wide(device.precision(), [&](auto wide) {
         const auto blocks = blocks_.map_read<decltype(wide)>();
@@ -219,7 +221,7 @@ bool ExplicitSchur::factorize(double lambda, double& seconds) {
         }
     });
     finish_values(lambda, values_.data());
-    return timed(values_.data());
+    use(values_.data());
 }
 
 LinearSolution ExplicitSchur::solve(double lambda) {
@@ -228,10 +230,12 @@ LinearSolution ExplicitSchur::solve(double lambda) {
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     form_blocks();
-    if (!factorize(lambda, solution.factorization_seconds)) {
-        solution.num_indefinite_blocks = 1;
-        return solution;
-    }
+    use_values(lambda, [&](const double* values) {
+        const Stopwatch watch;
+        solution.num_indefinite_blocks = cholesky_.factorize(values) ? 0 : 1;
+        solution.factorization_seconds = watch.seconds();
+    });
+    if (solution.num_indefinite_blocks > 0) return solution;
     step_.fill_zero();
     reduced_right_side(equations_, step_, b_);
     DeviceProblem& device = equations_.problem();

@@ -116,11 +116,20 @@ int64_t NormalEquations::read_failures(int64_t groups) {
 }
 
 int64_t NormalEquations::factor_points(double lambda) {
+    return launch_point_factors(lambda, defines_);
+}
+
+void NormalEquations::factor_undamped_points() {
+    launch_point_factors(0, defines_ + " -DLEAST_PIVOT_SHARE=1e-12");
+}
+
+int64_t NormalEquations::launch_point_factors(double lambda, const std::string& defines) {
     int64_t failures = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         const int64_t groups = num_groups(chunk.num_point_slots);
-        queue_.launch(Step::preconditioner, kernel("factor_point_blocks"), groups,
+        queue_.launch(Step::preconditioner,
+                      queue_.kernel("factors.cl", "factor_point_blocks", defines), groups,
                       options_.min_diagonal, options_.max_diagonal, lambda, chunk.num_point_slots,
                       point_roots[c], chunk.point_scale_or_null(),
                       fixed_point_damping_.empty() ? nullptr : &fixed_point_damping_[c],

@@ -45,6 +45,10 @@ public:
 
     // Inverse factors of blocks + lambda D^2; return how many are not positive definite.
     int64_t factor_points(double lambda);
+    // The same without damping, for points whose V is not positive definite too: a coordinate of
+    // which elimination of those before it leaves a share of 1e-12 or less of its diagonal entry is
+    // left out of G, whose row is 0. W G^T G W^T is then that of every generalised inverse of V.
+    void factor_undamped_points();
     int64_t factor_image_blocks(double lambda);  // of U
     int64_t factor_schur_blocks(double lambda);  // of U - W V_lambda^-1 W^T, after factor_points
     const std::vector<Buffer>& point_factors() const { return point_factors_; }
@@ -55,6 +59,7 @@ public:
 
 private:
     Kernel& kernel(const char* name);
+    int64_t launch_point_factors(double lambda, const std::string& defines);
     int64_t num_groups(int64_t n) const;
     int64_t read_failures(int64_t groups);
     void update_point_damping(std::vector<Buffer>& d2);

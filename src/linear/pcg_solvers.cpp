@@ -71,18 +71,25 @@ LinearSolution PcgSchur::solve(double lambda) {
     LinearSolution solution;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
-    solution.num_indefinite_blocks = preconditioner_ == Preconditioner::schur_jacobi
-                                         ? equations_.factor_schur_blocks(lambda)
-                                         : equations_.factor_image_blocks(lambda);
+    solution.num_indefinite_blocks = factor_preconditioner(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
 
     step_.fill_zero();
     reduced_right_side(equations_, step_, residual_);
-    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), residual_, step_);
+    const PcgResult result = solve_system(lambda, residual_, step_);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
     if (solution.is_usable) take_reduced_step(equations_, step_, solution);
     return solution;
+}
+
+int64_t PcgSchur::factor_preconditioner(double lambda) {
+    return preconditioner_ == Preconditioner::schur_jacobi ? equations_.factor_schur_blocks(lambda)
+                                                           : equations_.factor_image_blocks(lambda);
+}
+
+PcgResult PcgSchur::solve_system(double lambda, Vector& r, Vector& x) {
+    return pcg_.solve(*this, lambda, equations_.damping(), r, x);
 }
 
 void PcgSchur::get_step(Vector& full) {

@@ -34,8 +34,14 @@ public:
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::pcg_schur; }
 
+    // How many blocks of the preconditioner are not positive definite: those count as constant. To
+    // be called after factor_points.
+    int64_t factor_preconditioner(double lambda);
+    // S x = r for any r of the F side, which holds the residual afterwards.
+    PcgResult solve_system(double lambda, Vector& r, Vector& x);
+    void add_product(const Vector& p, Vector& q) override;  // q += S p, undamped
+
 private:
-    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
     Preconditioner preconditioner_;
