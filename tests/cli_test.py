@@ -251,6 +251,27 @@ class Solve(CliTest):
         for how, cost in costs.items():
             self.assertAlmostEqual(cost / reference, 1, delta=1e-7, msg=str(how))
 
+    def test_covariance(self):
+        file = self.scene()
+        text = self.clba("solve", file, "--covariance", "all.json", "--covariance-points",
+                         "--gauge-images", 3, 5, "--variance-factor").stdout
+        self.assertRegex(text, r"exact, gauge first_image_and_baseline \(images 3 and 5\)")
+        found = self.summary("all.json")
+        self.assertEqual((found["gauge_images"], found["num_freedoms"]), ([3, 5], 7))
+        self.assertEqual([len(found[block]) for block in ("pose", "center", "intrinsics")],
+                         [12, 12, 12])
+        self.assertEqual([len(found[block][0]) for block in ("pose", "center", "point")],
+                         [21, 6, 6])
+        self.assertEqual(found["pose"][3], [0] * 21)
+        self.assertGreater(min(found["center"][0][k] for k in (0, 2, 5)), 0)
+        self.clba("solve", file, "--covariance", "all.csv", "--covariance-gauge", "inner")
+        lines = (self.folder / "all.csv").read_text(encoding="utf-8").splitlines()
+        self.assertEqual(lines[0], "block,index,row,column,covariance")
+        self.assertEqual(len(lines), 1 + 12 * (21 + 6 + 6))
+        self.assertRegex(lines[1], r"^pose,0,0,0,\d")
+        self.refused(USAGE, "solve", file, "--quiet", "--covariance", "bad.csv",
+                     "--covariance-gauge", "problem", mentions="leaves 7 of the 7")
+
     def test_verify(self):
         text = self.clba("solve", self.scene(), "--json", "summary.json", "--verify",
                          *CONVERGED).stdout

@@ -23,7 +23,8 @@ template <class Type>
 constexpr bool is_owner =
     !std::is_copy_constructible_v<Type> && !std::is_copy_assignable_v<Type> &&
     std::is_nothrow_move_constructible_v<Type> && std::is_nothrow_move_assignable_v<Type>;
-static_assert(is_owner<clba::Context> && is_owner<clba::Problem> && is_owner<clba::Result>);
+static_assert(is_owner<clba::Context> && is_owner<clba::Problem> && is_owner<clba::Result> &&
+              is_owner<clba::Covariance>);
 
 template <class From, class View>
 constexpr bool views = std::is_convertible_v<From, View>;
@@ -369,6 +370,42 @@ TEST_F(Solving, StepsMovePoints) {
     problem.apply_step(step);
     EXPECT_EQ(problem.points()[1][0], before[1][0] + 0.25);
     EXPECT_EQ(problem.points()[0], before[0]);
+}
+
+TEST_F(Solving, CovariancesInAGauge) {
+    clba::CovarianceOptions options;
+    options.gauge_images[0] = 2;
+    options.gauge_images[1] = 5;
+    const int32_t points[1] = {4};
+    options.points = points;
+    options.num_points = 1;
+    clba::Covariance covariance = problem.covariance(context, options);
+    const clba::CovarianceInfo info = covariance.info();
+    EXPECT_EQ(clba::covariance_gauge_name(info.gauge), "first_image_and_baseline");
+    EXPECT_EQ(clba::covariance_method_name(info.method), "exact");
+    EXPECT_EQ(info.gauge_images[1], 5);
+    EXPECT_EQ((covariance.pose(2)), (std::array<double, 36>{}));
+    EXPECT_GT(covariance.point(0)[0], 0);
+    const std::vector<double> joint = covariance.block(CLBA_BLOCK_POSE_AND_INTRINSICS, 1, 9);
+    const std::array<double, 36> pose = covariance.pose(1);
+    EXPECT_EQ(joint[9 * 5 + 4], pose[6 * 5 + 4]);
+    EXPECT_NEAR(covariance.center(1)[0] + covariance.center(1)[4] + covariance.center(1)[8],
+                pose[21] + pose[28] + pose[35], 1e-12 * pose[21]);
+    EXPECT_EQ(covariance.standard_errors(CLBA_BLOCK_POINT, 0, 3), std::vector<double>(9));
+    expect_refused([&] { covariance.point(1); }, "there are 1");
+    expect_refused([&] { covariance.block(CLBA_BLOCK_POINT, 0, 2); }, "stride of 32");
+    expect_refused([&] { clba::covariance_gauge_name(9); }, "gauge 9");
+
+    clba::GaugeTarget target;
+    const std::array<double, 7> origin{1, 0, 0, 0, 0, 0, 0};
+    target.images[0] = 2;
+    target.images[1] = 5;
+    target.pose = origin.data();
+    target.baseline = 3;
+    problem.fix_gauge(target);
+    EXPECT_EQ(problem.images().poses[2], origin);
+    const Triple center = problem.centers()[5];
+    EXPECT_NEAR(std::hypot(center[0], center[1], center[2]), 3, 1e-12);
 }
 
 TEST_F(Solving, FilesKeepEveryDigit) {

@@ -29,9 +29,10 @@
 extern "C" {
 #endif
 
-typedef struct clba_context clba_context; /* one device and the kernels built for it */
-typedef struct clba_problem clba_problem; /* images, cameras, points and observations */
-typedef struct clba_result clba_result;   /* what a solve did */
+typedef struct clba_context clba_context;       /* one device and the kernels built for it */
+typedef struct clba_problem clba_problem;       /* images, cameras, points and observations */
+typedef struct clba_result clba_result;         /* what a solve did */
+typedef struct clba_covariance clba_covariance; /* of the parameters at a state */
 
 /* ---- Status ---------------------------------------------------------------------------------- */
 
@@ -485,6 +486,123 @@ CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* 
                                            const double* x, double* y);
 /* Moves the state by step, num_parameters numbers; constant parameters stay. */
 CLBA_API clba_status clba_problem_apply_step(clba_problem* problem, const double* step);
+
+/* ---- Covariances ----------------------------------------------------------------------------- */
+
+/* The marginal covariances of poses, intrinsics and points at the problem's state: blocks of the
+ * inverse of H = J^T J, whose J has the observations' covariances and the loss's weights sqrt(rho')
+ * in it, in the tangent space above. Constant parameters are taken as known: their rows are 0. H is
+ * singular for the 7 freedoms of a similarity that no residual notices, less those that constants
+ * hold; what takes them away is the gauge, on which the covariances depend
+ * (docs/covariance.md). */
+enum {
+    CLBA_GAUGE_DEFAULT = 0, /* PROBLEM where that fixes all, otherwise FIRST_IMAGE_AND_BASELINE */
+    CLBA_GAUGE_PROBLEM = 1, /* what the problem holds; an error if that is not all */
+    CLBA_GAUGE_FIRST_IMAGE_AND_BASELINE = 2, /* an image's pose and its distance from another */
+    CLBA_GAUGE_THREE_POINTS = 3, /* two points, and a third across the plane of the three */
+    CLBA_GAUGE_INNER = 4         /* nothing alone: least trace over all camera centres */
+};
+CLBA_API const char* clba_covariance_gauge_name(int32_t gauge); /* NULL: no such value */
+enum {
+    CLBA_COVARIANCE_AUTO = 0,   /* EXACT where it has the memory */
+    CLBA_COVARIANCE_EXACT = 1,  /* the Schur complement's selected inverse */
+    CLBA_COVARIANCE_SAMPLED = 2 /* estimated from random samples by conjugate gradients */
+};
+CLBA_API const char* clba_covariance_method_name(int32_t method); /* NULL: no such value */
+
+typedef struct clba_covariance_options {
+    uint32_t struct_size;
+    int32_t gauge;                 /* DEFAULT */
+    int32_t gauge_images[2];       /* of FIRST_IMAGE_AND_BASELINE; -1: a constant or else the first
+                                      image with observations, and the one farthest from it; -1 */
+    int32_t gauge_points[3];       /* of THREE_POINTS; -1 */
+    int32_t method;                /* AUTO */
+    int32_t apply_variance_factor; /* 1: multiply by the variance factor below; 0: observations'
+                                      covariances are what they say; 0 */
+    int32_t all_points;            /* 1: of every point; 0 */
+    const int32_t* points;         /* of these points, num_points, unless all_points; NULL */
+    int64_t num_points;            /* 0 */
+    uint64_t max_bytes;  /* host memory that AUTO lets EXACT take; 0: half of all there is; 0 */
+    int32_t num_samples; /* of SAMPLED; 0: so many as relative_error asks for; 0 */
+    int32_t max_linear_solver_iterations; /* of each sample; 20000 */
+    double relative_error; /* standard error of a sampled variance, relatively, in (0, 1): 2 /
+                              relative_error^2 samples; 0.1 */
+    uint64_t seed;         /* of SAMPLED; 0 */
+} clba_covariance_options;
+CLBA_API clba_status clba_covariance_options_init(clba_covariance_options* options,
+                                                  size_t struct_size);
+
+typedef struct clba_covariance_info {
+    uint32_t struct_size;
+    int32_t gauge;           /* the one used */
+    int32_t gauge_images[2]; /* of FIRST_IMAGE_AND_BASELINE, else -1 */
+    int32_t gauge_points[3]; /* of THREE_POINTS, else -1 */
+    int32_t num_freedoms;    /* of the 7, that the gauge took away; the problem holds the others */
+    int32_t method;          /* the one used */
+    int32_t num_samples;     /* 0 if EXACT */
+    int32_t variance_factor_is_applied;
+    int32_t num_images;
+    int32_t num_cameras;
+    int32_t reserved;       /* 0 */
+    int64_t num_points;     /* whose covariances were asked for */
+    double relative_error;  /* standard error of each variance; 0 if EXACT */
+    double cost;            /* at the state, with the loss */
+    double variance_factor; /* a posteriori: 2 cost / redundancy; NaN where that is not > 0 */
+    int64_t redundancy;     /* residuals less determined parameters and plus num_freedoms */
+    int64_t num_undetermined_parameters;  /* of poses and intrinsics, that no observation moves */
+    int64_t num_undetermined_points;      /* of all points: without parallax, seen once or never */
+    int64_t num_linear_solver_iterations; /* of SAMPLED, summed */
+    uint64_t bytes;                       /* of EXACT: the Schur complement, its factor, its
+                                             inverse and working space */
+    double total_seconds;
+    double form_seconds;    /* of EXACT: the Schur complement */
+    double factor_seconds;  /* its factorisation */
+    double inverse_seconds; /* the blocks of its inverse */
+    double point_seconds;
+} clba_covariance_info;
+
+/* Needs a device with fp64. Undetermined parameters get infinite variances and covariances 0: poses
+ * and intrinsics without observations, and points of which elimination of two coordinates leaves a
+ * share of 1e-12 or less of the third one's information. Where images are not determined though
+ * they have observations the call fails and names one. Blocks. */
+CLBA_API clba_status clba_problem_covariance(clba_problem* problem, clba_context* context,
+                                             const clba_covariance_options* options,
+                                             clba_covariance** covariance);
+CLBA_API void clba_covariance_release(clba_covariance* covariance); /* NULL is allowed */
+CLBA_API clba_status clba_covariance_get_info(const clba_covariance* covariance,
+                                              clba_covariance_info* info);
+/* What clba_covariance_get gives: row i of values is a symmetric matrix, of n x n numbers. */
+enum {
+    CLBA_BLOCK_POSE = 1,       /* of image i: rotation, position (the tangent space); n = 6 */
+    CLBA_BLOCK_CENTER = 2,     /* of image i's centre -R^T t, in world coordinates; n = 3 */
+    CLBA_BLOCK_INTRINSICS = 3, /* of camera i; n parameters */
+    CLBA_BLOCK_POSE_AND_INTRINSICS = 4, /* of image i and its camera; n = 6 + parameters */
+    CLBA_BLOCK_POINT = 5 /* of the i-th point asked for, in world coordinates; n = 3 */
+};
+/* Rows [first, first + count); rows whose n differ follow each other without gaps where stride is
+ * 0. standard_errors (may be NULL, else like values): of each entry as an estimate, 0 if EXACT. */
+CLBA_API clba_status clba_covariance_get(const clba_covariance* covariance, int32_t block,
+                                         int64_t first, int64_t count, double* values,
+                                         double* standard_errors, size_t stride);
+
+typedef struct clba_gauge_target {
+    uint32_t struct_size;
+    int32_t gauge;         /* DEFAULT (FIRST_IMAGE_AND_BASELINE), THREE_POINTS or INNER */
+    int32_t images[2];     /* of FIRST_IMAGE_AND_BASELINE; -1: as in clba_covariance_options; -1 */
+    int32_t points[3];     /* of THREE_POINTS; -1 */
+    int32_t reserved;      /* 0 */
+    const double* pose;    /* qw qx qy qz tx ty tz for the first image; NULL */
+    double baseline;       /* > 0: distance of its centre from the second one's; 0 */
+    const double* xyz;     /* 9 numbers for the three points; NULL */
+    const double* centers; /* of INNER: 3 numbers an image, to which all centres are brought as
+                              close as a similarity brings them (Umeyama 1991); NULL */
+} clba_gauge_target;
+CLBA_API clba_status clba_gauge_target_init(clba_gauge_target* target, size_t struct_size);
+/* Moves the state by the similarity that puts what the gauge holds where target says: the first
+ * image's pose and the baseline's length; the first point, the line to the second with its length,
+ * and the plane to the third; or the camera centres. No residual changes. Refused where poses or
+ * points are constant. */
+CLBA_API clba_status clba_problem_fix_gauge(clba_problem* problem, const clba_gauge_target* target);
 
 /* ---- Comparing ------------------------------------------------------------------------------- */
 

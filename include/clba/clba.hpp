@@ -37,6 +37,7 @@ using ProblemInfo = clba_problem_info;
 using Iteration = clba_iteration;
 using Summary = clba_summary;
 using Comparison = clba_comparison;
+using CovarianceInfo = clba_covariance_info;
 
 // ---- Errors -------------------------------------------------------------------------------------
 
@@ -162,6 +163,12 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
+inline std::string_view covariance_gauge_name(int32_t gauge) {
+    return detail::name(clba_covariance_gauge_name, gauge, "gauge");
+}
+inline std::string_view covariance_method_name(int32_t method) {
+    return detail::name(clba_covariance_method_name, method, "covariance method");
+}
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
 }
@@ -268,6 +275,17 @@ struct EvaluationRequest : clba_evaluation {
     }
 };
 
+struct CovarianceOptions : clba_covariance_options {
+    CovarianceOptions() : clba_covariance_options() {
+        check(clba_covariance_options_init(this, sizeof(clba_covariance_options)));
+    }
+};
+struct GaugeTarget : clba_gauge_target {
+    GaugeTarget() : clba_gauge_target() {
+        check(clba_gauge_target_init(this, sizeof(clba_gauge_target)));
+    }
+};
+
 // ---- Handles ------------------------------------------------------------------------------------
 
 namespace detail {
@@ -280,6 +298,9 @@ inline void release(clba_problem* handle) noexcept {
 }
 inline void release(clba_result* handle) noexcept {
     clba_result_release(handle);
+}
+inline void release(clba_covariance* handle) noexcept {
+    clba_covariance_release(handle);
 }
 
 // Owns one reference.
@@ -384,6 +405,44 @@ struct Evaluation {
     double cost = 0;
     int64_t num_behind = 0, num_singular = 0;
     std::vector<double> residuals, gradient, jacobian_images, jacobian_points;
+};
+
+// Covariances of a state's parameters: symmetric matrices by rows.
+class Covariance : public detail::Handle<clba_covariance> {
+public:
+    using Handle::Handle;
+
+    CovarianceInfo info() const {
+        auto info = detail::sized<CovarianceInfo>();
+        check(clba_covariance_get_info(object_, &info));
+        return info;
+    }
+    std::array<double, 36> pose(int64_t image) const { return fixed<36>(CLBA_BLOCK_POSE, image); }
+    std::array<double, 9> center(int64_t image) const { return fixed<9>(CLBA_BLOCK_CENTER, image); }
+    // Of the index-th point asked for.
+    std::array<double, 9> point(int64_t index) const { return fixed<9>(CLBA_BLOCK_POINT, index); }
+    // Any block: size x size numbers, which must be what clba.h says for it.
+    std::vector<double> block(int32_t block, int64_t row, size_t size) const {
+        std::vector<double> values(size * size);
+        check(clba_covariance_get(object_, block, row, 1, values.data(), nullptr,
+                                  values.size() * sizeof(double)));
+        return values;
+    }
+    // Like block(): standard errors of its entries as estimates.
+    std::vector<double> standard_errors(int32_t block, int64_t row, size_t size) const {
+        std::vector<double> values(size * size), errors(size * size);
+        check(clba_covariance_get(object_, block, row, 1, values.data(), errors.data(),
+                                  values.size() * sizeof(double)));
+        return errors;
+    }
+
+private:
+    template <size_t size>
+    std::array<double, size> fixed(int32_t block, int64_t row) const {
+        std::array<double, size> values;
+        check(clba_covariance_get(object_, block, row, 1, values.data(), nullptr, 0));
+        return values;
+    }
 };
 
 // Images, cameras, points and observations; used by one thread at a time.
@@ -568,6 +627,16 @@ public:
         check(status);
         return result;
     }
+
+    // -- Covariances and gauge
+
+    // Of all poses and intrinsics, and of the points that the options ask for.
+    Covariance covariance(const Context& context, const CovarianceOptions& options = {}) {
+        clba_covariance* made = nullptr;
+        check(clba_problem_covariance(object_, context.get(), &options, &made));
+        return Covariance(made);
+    }
+    void fix_gauge(const GaugeTarget& target) { check(clba_problem_fix_gauge(object_, &target)); }
 
     // -- Evaluating
 

@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "api/handles.hpp"
+#include "api/mirror.hpp"
 #include "api/report.hpp"
 #include "linear/direct_solver.hpp"
 #include "linear/normal_equations.hpp"
@@ -240,17 +241,6 @@ clba_evaluation default_evaluation() {
     evaluation.precision = CLBA_PRECISION_DOUBLE;
     evaluation.apply_loss = 1;
     return evaluation;
-}
-
-// A problem that has been used leaves its mirror behind for the next call, unless that call failed.
-template <class Body>
-void with_mirror(clba_problem* handle, clba_context* context, Precision precision, Body&& body) {
-    try {
-        body(mirror(handle->problem, context->context, precision, handle->mirror));
-    } catch (...) {
-        handle->mirror.reset();
-        throw;
-    }
 }
 
 // One array of 2 rows of REAL in slots, from or to observations x 2 of the caller's.

@@ -11,10 +11,12 @@ struct Release {
     void operator()(clba_context* context) const { clba_context_release(context); }
     void operator()(clba_problem* problem) const { clba_problem_release(problem); }
     void operator()(clba_result* result) const { clba_result_release(result); }
+    void operator()(clba_covariance* covariance) const { clba_covariance_release(covariance); }
 };
 using Context = std::unique_ptr<clba_context, Release>;
 using Problem = std::unique_ptr<clba_problem, Release>;
 using Result = std::unique_ptr<clba_result, Release>;
+using Covariance = std::unique_ptr<clba_covariance, Release>;
 
 inline Problem read_problem(const std::string& path) {
     clba_problem* problem = nullptr;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "cli/commands.hpp"
+#include "cli/covariance.hpp"
 #include "cli/handles.hpp"
 #include "cli/interrupt.hpp"
 #include "cli/options.hpp"
@@ -27,6 +28,7 @@ struct SolveArguments {
     std::string ply;
     std::string json;
     std::string device;
+    CovarianceArguments covariance;
     int32_t loss = CLBA_LOSS_NONE;
     double loss_scale = 1;
     bool verify = false;
@@ -101,7 +103,7 @@ ExitCode exit_code_of(const clba_summary& summary) {
 }
 
 ExitCode solve(const SolveArguments& arguments) {
-    check_outputs({arguments.output, arguments.ply, arguments.json});
+    check_outputs({arguments.output, arguments.ply, arguments.json, arguments.covariance.file});
     const Context context = make_context(arguments.device);
     const Problem problem = read_start(arguments);
     // Read now, because the output may replace the file.
@@ -122,6 +124,13 @@ ExitCode solve(const SolveArguments& arguments) {
     if (exit_code_of(summary) == ExitCode::not_solved)
         std::fprintf(stderr, "clba: error: %s: not solved: %s\n", arguments.file.c_str(),
                      summary.message);
+    if (!arguments.covariance.file.empty()) {
+        if (exit_code_of(summary) == ExitCode::ok)
+            write_covariances(problem.get(), context.get(), arguments.covariance, arguments.quiet);
+        else
+            std::fprintf(stderr, "clba: %s: no covariances are written of what is not solved\n",
+                         arguments.covariance.file.c_str());
+    }
     if (arguments.verify && exit_code_of(summary) == ExitCode::ok) {
         json["verify"] = verify(problem.get(), summary, start.get(), context.get(),
                                 arguments.options, arguments.quiet);
@@ -209,6 +218,7 @@ void add_solve(CLI::App& program, int& result) {
     command->add_option("FILE", arguments->file, "BAL problem: plain, gzip or bzip2 text")
         ->required();
     add_output_options(*command, *arguments);
+    add_covariance_options(*command, arguments->covariance);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);
     command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });

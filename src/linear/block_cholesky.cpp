@@ -61,6 +61,19 @@ double estimate_flops(const BlockPattern& pattern) {
     return flops;
 }
 
+double estimate_factor_values(const BlockPattern& pattern) {
+    check_pattern(pattern);
+    const BlockGraph graph = make_graph(pattern);
+    const std::vector<int32_t> order = elimination_order(graph, 1);
+    const EliminationTree tree = make_tree(graph, order);
+    double num_values = 0;
+    for (size_t i = 0; i < order.size(); ++i) {
+        const double pivots = graph.weight[order[i]];
+        num_values += pivots * (0.5 * (pivots + 1) + static_cast<double>(tree.rows_below[i]));
+    }
+    return num_values;
+}
+
 template <class Real>
 BlockCholesky<Real>::BlockCholesky(const BlockPattern& pattern, int num_threads, int order_threads,
                                    InstructionSet set)

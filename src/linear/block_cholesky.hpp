@@ -99,5 +99,7 @@ private:
 
 // Multiplications and additions of a factorisation, without its memory; for models of cost.
 double estimate_flops(const BlockPattern& pattern);
+// Numbers of its factor, likewise.
+double estimate_factor_values(const BlockPattern& pattern);
 
 }  // namespace clba

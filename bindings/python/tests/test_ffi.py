@@ -30,6 +30,7 @@ STRUCTS = {
     "clba_context": _ffi.ContextHandle,
     "clba_problem": _ffi.ProblemHandle,
     "clba_result": _ffi.ResultHandle,
+    "clba_covariance": _ffi.CovarianceHandle,
 }
 
 
@@ -140,6 +141,8 @@ def enumeration(prefix: str) -> dict[str, int]:
         ("DAMPING", _names.DAMPINGS, _names.Damping),
         ("PRECISION", _names.PRECISIONS, _names.Precision),
         ("JACOBIAN", _names.JACOBIANS, _names.JacobianForm),
+        ("GAUGE", _names.GAUGES, _names.Gauge),
+        ("COVARIANCE", _names.COVARIANCE_METHODS, _names.CovarianceMethod),
         ("SCENE", _names.SCENES, _names.Scene),
         ("DEVICE", _names.DEVICE_TYPES, None),
         ("REASON", _names.REASONS, None),

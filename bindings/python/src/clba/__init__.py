@@ -9,6 +9,7 @@ print(summary.report())
 """
 
 from clba import plot
+from clba._covariance import Covariance, StandardErrors
 from clba._devices import Context, Device, devices
 from clba._errors import (
     DeviceError,
@@ -33,6 +34,7 @@ __all__ = [
     "PARAM_NAMES",
     "Comparison",
     "Context",
+    "Covariance",
     "Device",
     "DeviceError",
     "Error",
@@ -47,6 +49,7 @@ __all__ = [
     "NoPluginError",
     "OutOfMemoryError",
     "Problem",
+    "StandardErrors",
     "Summary",
     "__version__",
     "devices",

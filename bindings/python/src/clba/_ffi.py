@@ -37,6 +37,10 @@ class ResultHandle(Structure):
     """clba_result"""
 
 
+class CovarianceHandle(Structure):
+    """clba_covariance"""
+
+
 class DeviceInfo(Structure):
     """clba_device_info"""
 
@@ -214,6 +218,75 @@ class Evaluation(Structure):
     ]
 
 
+class CovarianceOptions(Structure):
+    """clba_covariance_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("gauge_images", c_int32 * 2),
+        ("gauge_points", c_int32 * 3),
+        ("method", c_int32),
+        ("apply_variance_factor", c_int32),
+        ("all_points", c_int32),
+        ("points", POINTER(c_int32)),
+        ("num_points", c_int64),
+        ("max_bytes", c_uint64),
+        ("num_samples", c_int32),
+        ("max_linear_solver_iterations", c_int32),
+        ("relative_error", c_double),
+        ("seed", c_uint64),
+    ]
+
+
+class CovarianceInfo(Structure):
+    """clba_covariance_info"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("gauge_images", c_int32 * 2),
+        ("gauge_points", c_int32 * 3),
+        ("num_freedoms", c_int32),
+        ("method", c_int32),
+        ("num_samples", c_int32),
+        ("variance_factor_is_applied", c_int32),
+        ("num_images", c_int32),
+        ("num_cameras", c_int32),
+        ("reserved", c_int32),
+        ("num_points", c_int64),
+        ("relative_error", c_double),
+        ("cost", c_double),
+        ("variance_factor", c_double),
+        ("redundancy", c_int64),
+        ("num_undetermined_parameters", c_int64),
+        ("num_undetermined_points", c_int64),
+        ("num_linear_solver_iterations", c_int64),
+        ("bytes", c_uint64),
+        ("total_seconds", c_double),
+        ("form_seconds", c_double),
+        ("factor_seconds", c_double),
+        ("inverse_seconds", c_double),
+        ("point_seconds", c_double),
+    ]
+
+
+class GaugeTarget(Structure):
+    """clba_gauge_target"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("images", c_int32 * 2),
+        ("points", c_int32 * 3),
+        ("reserved", c_int32),
+        ("pose", POINTER(c_double)),
+        ("baseline", c_double),
+        ("xyz", POINTER(c_double)),
+        ("centers", POINTER(c_double)),
+    ]
+
+
 class Comparison(Structure):
     """clba_comparison"""
 
@@ -258,6 +331,9 @@ STRUCTS: dict[str, type[Structure]] = {
         SolverOptions,
         Summary,
         Evaluation,
+        CovarianceOptions,
+        CovarianceInfo,
+        GaugeTarget,
         Comparison,
         SceneOptions,
     )
@@ -267,6 +343,7 @@ _status = c_int32
 _context = POINTER(ContextHandle)
 _problem = POINTER(ProblemHandle)
 _result = POINTER(ResultHandle)
+_covariance = POINTER(CovarianceHandle)
 _int32s = POINTER(c_int32)
 _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
@@ -352,6 +429,21 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
         [_problem, _context, c_int32, c_int32, c_double, _doubles, _doubles],
     ),
     "clba_problem_apply_step": (_status, [_problem, _doubles]),
+    "clba_covariance_gauge_name": (c_char_p, [c_int32]),
+    "clba_covariance_method_name": (c_char_p, [c_int32]),
+    "clba_covariance_options_init": (_status, [POINTER(CovarianceOptions), c_size_t]),
+    "clba_problem_covariance": (
+        _status,
+        [_problem, _context, POINTER(CovarianceOptions), POINTER(_covariance)],
+    ),
+    "clba_covariance_release": (None, [_covariance]),
+    "clba_covariance_get_info": (_status, [_covariance, POINTER(CovarianceInfo)]),
+    "clba_covariance_get": (
+        _status,
+        [_covariance, c_int32, c_int64, c_int64, _doubles, _doubles, c_size_t],
+    ),
+    "clba_gauge_target_init": (_status, [POINTER(GaugeTarget), c_size_t]),
+    "clba_problem_fix_gauge": (_status, [_problem, POINTER(GaugeTarget)]),
     "clba_problem_compare": (_status, [_problem, _problem, POINTER(Comparison)]),
     "clba_problem_read_bal": (_status, [c_char_p, POINTER(_problem)]),
     "clba_problem_write_bal": (_status, [_problem, c_char_p]),

@@ -15,6 +15,8 @@ Preconditioner = Literal["default", "block_jacobi", "schur_jacobi"]
 Damping = Literal["marquardt", "levenberg", "uncertainty"]
 Precision = Literal["auto", "double", "mixed", "single"]
 JacobianForm = Literal["default", "recomputed", "stored"]
+Gauge = Literal["default", "problem", "first_image_and_baseline", "three_points", "inner"]
+CovarianceMethod = Literal["auto", "exact", "sampled"]
 Scene = Literal["hall", "street", "landmark"]
 
 # An enumeration's values are small; the functions that name them answer NULL to the others.
@@ -33,6 +35,8 @@ PRECONDITIONERS = _named(lib.clba_preconditioner_name)
 DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
+GAUGES = _named(lib.clba_covariance_gauge_name)
+COVARIANCE_METHODS = _named(lib.clba_covariance_method_name)
 SCENES = _named(lib.clba_scene_name)
 
 DEVICE_TYPES = {"cpu": 1, "gpu": 2, "accelerator": 3, "other": 4}

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clba import _arrays, _evaluation, _ffi, _names
+from clba import _arrays, _covariance, _evaluation, _ffi, _names
 from clba._arrays import Doubles, Int32s, pointer, stride
+from clba._covariance import Covariance
 from clba._devices import Context, context_of
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
@@ -602,6 +603,100 @@ class Problem:
                 residuals=residuals,
                 gradient=gradient,
                 structure=self._jacobian_structure(handle) if jacobian else None,
+            )
+
+    def covariance(
+        self,
+        *,
+        points: npt.ArrayLike | bool = True,
+        gauge: _names.Gauge = "default",
+        gauge_images: Sequence[int] | None = None,
+        gauge_points: Sequence[int] | None = None,
+        method: _names.CovarianceMethod = "auto",
+        apply_variance_factor: bool = False,
+        num_samples: int | None = None,
+        relative_error: float | None = None,
+        seed: int | None = None,
+        max_bytes: int | None = None,
+        max_linear_solver_iterations: int | None = None,
+        device: int | str | Context | None = None,
+    ) -> Covariance:
+        """Covariances of poses, intrinsics and points at the current state.
+
+        They are blocks of the inverse of J^T J, whose J has the observations' covariances and the
+        loss in it; docs/covariance.md has definitions and formulas.
+
+        Args:
+            points: indices of points, True for all, or False for none.
+            gauge: what takes the freedoms of a similarity away that the problem does not hold.
+                "default": "problem" where it holds all, otherwise "first_image_and_baseline".
+            gauge_images: the image whose pose is held, and the one whose distance from it is;
+                -1 chooses.
+            gauge_points: of "three_points".
+            method: "sampled" estimates where "exact" would take too much memory; "auto" chooses.
+            apply_variance_factor: multiply by the a posteriori variance factor.
+            num_samples, relative_error, seed, max_linear_solver_iterations: of "sampled".
+            max_bytes: memory that "auto" lets "exact" take; by default half of all there is.
+            device: as in ``solve``; it must have fp64.
+        """
+        context = context_of(device)
+        options, indices = _covariance.make_options(
+            self.num_points,
+            points=points,
+            gauge=gauge,
+            gauge_images=gauge_images,
+            gauge_points=gauge_points,
+            method=method,
+            apply_variance_factor=apply_variance_factor,
+            num_samples=num_samples,
+            relative_error=relative_error,
+            seed=seed,
+            max_bytes=max_bytes,
+            max_linear_solver_iterations=max_linear_solver_iterations,
+        )
+        with self._use() as handle, context._use() as context_handle:
+            num_params = [lib.clba_camera_model_num_params(int(m)) for m in _models(handle)]
+            return _covariance.compute(
+                handle, context_handle, options, indices, num_params, _images(handle)[0]
+            )
+
+    def fix_gauge(
+        self,
+        *,
+        gauge: _names.Gauge = "default",
+        images: Sequence[int] | None = None,
+        pose: npt.ArrayLike | None = None,
+        baseline: float | None = None,
+        points: Sequence[int] | None = None,
+        xyz: npt.ArrayLike | None = None,
+        centers: npt.ArrayLike | None = None,
+    ) -> None:
+        """Moves the state by a similarity, which changes no residual.
+
+        Args:
+            gauge: "default", which is "first_image_and_baseline", "three_points" or "inner".
+            images: as gauge_images of ``covariance``.
+            pose: where the first image goes, as a row of ``poses``.
+            baseline: distance of the two images' centres.
+            points, xyz: indices of three points, and (3, 3) where they go: the first one, the line
+                to the second with its length, and the plane to the third.
+            centers: (num_images, 3) of "inner", to which the camera centres are brought as close
+                as a similarity brings them.
+
+        Raises:
+            InvalidArgumentError: among others, if poses or points are constant.
+        """
+        with self._use() as handle:
+            _covariance.set_gauge(
+                handle,
+                _info(handle).num_images,
+                gauge=gauge,
+                images=images,
+                points=points,
+                pose=pose,
+                baseline=baseline,
+                xyz=xyz,
+                centers=centers,
             )
 
     def _jacobian_structure(self, handle: Any) -> _evaluation.Structure:
