@@ -141,7 +141,6 @@ def enumeration(prefix: str) -> dict[str, int]:
         ("DAMPING", _names.DAMPINGS, _names.Damping),
         ("PRECISION", _names.PRECISIONS, _names.Precision),
         ("JACOBIAN", _names.JACOBIANS, _names.JacobianForm),
-        ("GAUGE", _names.GAUGES, _names.Gauge),
         ("COVARIANCE", _names.COVARIANCE_METHODS, _names.CovarianceMethod),
         ("SCENE", _names.SCENES, _names.Scene),
         ("DEVICE", _names.DEVICE_TYPES, None),
@@ -152,6 +151,13 @@ def test_names_are_those_of_the_header(prefix: str, names: dict[str, int], liter
     assert names == enumeration(prefix)
     if literal is not None:
         assert set(literal.__args__) == set(names)  # type: ignore[attr-defined]
+
+
+def test_gauges_are_those_of_the_header() -> None:
+    declared = enumeration("GAUGE")
+    for name, value in _names.GAUGE_CHOICES.items():
+        assert declared[name] == value
+    assert set(_names.GaugeChoice.__args__) == set(_names.GAUGE_CHOICES)  # type: ignore[attr-defined]
 
 
 def test_terminations_are_those_of_the_header() -> None:

@@ -103,7 +103,7 @@ def make_options(
     """The C library's options, and the points, which must live as long as these."""
     options = _ffi.CovarianceOptions()
     check(lib.clba_covariance_options_init(ctypes.byref(options), ctypes.sizeof(options)))
-    options.gauge = _names.value_of(_names.GAUGES, gauge, "gauge")
+    options.gauge = _names.value_of(_names.GAUGE_CHOICES, gauge, "gauge")
     options.method = _names.value_of(_names.COVARIANCE_METHODS, method, "method")
     options.apply_variance_factor = int(apply_variance_factor)
     _set_indices(options.gauge_images, gauge_images, "gauge_images")
@@ -146,7 +146,7 @@ def compute(
     return Covariance(
         **{name: values for name, (values, _) in blocks.items()},
         point_indices=indices,
-        gauge=_names.name_of(_names.GAUGES, info.gauge),
+        gauge=_names.name_of(_names.GAUGE_CHOICES, info.gauge),
         gauge_images=tuple(image for image in info.gauge_images if image >= 0),
         gauge_points=tuple(point for point in info.gauge_points if point >= 0),
         num_freedoms=info.num_freedoms,
@@ -181,7 +181,7 @@ def set_gauge(
     """Calls the library."""
     target = _ffi.GaugeTarget()
     check(lib.clba_gauge_target_init(ctypes.byref(target), ctypes.sizeof(target)))
-    target.gauge = _names.value_of(_names.GAUGES, gauge, "gauge")
+    target.gauge = _names.value_of(_names.GAUGE_CHOICES, gauge, "gauge")
     _set_indices(target.images, images, "images")
     _set_indices(target.points, points, "points")
     _ffi.set_number(target, "baseline", baseline)

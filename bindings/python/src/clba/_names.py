@@ -15,7 +15,7 @@ Preconditioner = Literal["default", "block_jacobi", "schur_jacobi"]
 Damping = Literal["marquardt", "levenberg", "uncertainty"]
 Precision = Literal["auto", "double", "mixed", "single"]
 JacobianForm = Literal["default", "recomputed", "stored"]
-Gauge = Literal["default", "problem", "first_image_and_baseline", "three_points", "inner"]
+GaugeChoice = Literal["default", "problem", "first_image_and_baseline", "three_points", "inner"]
 CovarianceMethod = Literal["auto", "exact", "sampled"]
 Scene = Literal["hall", "street", "landmark"]
 
@@ -35,7 +35,7 @@ PRECONDITIONERS = _named(lib.clba_preconditioner_name)
 DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
-GAUGES = _named(lib.clba_covariance_gauge_name)
+GAUGE_CHOICES = _named(lib.clba_covariance_gauge_name)
 COVARIANCE_METHODS = _named(lib.clba_covariance_method_name)
 SCENES = _named(lib.clba_scene_name)
 

@@ -609,7 +609,7 @@ class Problem:
         self,
         *,
         points: npt.ArrayLike | bool = True,
-        gauge: _names.Gauge = "default",
+        gauge: _names.GaugeChoice = "default",
         gauge_images: Sequence[int] | None = None,
         gauge_points: Sequence[int] | None = None,
         method: _names.CovarianceMethod = "auto",
@@ -663,7 +663,7 @@ class Problem:
     def fix_gauge(
         self,
         *,
-        gauge: _names.Gauge = "default",
+        gauge: _names.GaugeChoice = "default",
         images: Sequence[int] | None = None,
         pose: npt.ArrayLike | None = None,
         baseline: float | None = None,
