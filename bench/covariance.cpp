@@ -100,9 +100,9 @@ void statistics(int num_scenes) {
         options.all_points = 1;
         const clba::Images truth = scene.truth.images();
         // The gauge is that of the state to compare with; the images are chosen at it.
-        const auto held = scene.start.covariance(context, options).info().gauge_images;
+        const clba::CovarianceInfo chosen = scene.start.covariance(context, options).info();
         options.gauge = CLBA_GAUGE_FIRST_IMAGE_AND_BASELINE;
-        std::copy_n(held, 2, options.gauge_images);
+        std::copy_n(chosen.gauge_images, 2, options.gauge_images);
         clba::GaugeTarget target;
         std::copy_n(options.gauge_images, 2, target.images);
         const auto& first = truth.poses[static_cast<size_t>(options.gauge_images[0])];
