@@ -63,14 +63,17 @@ uint64_t memory_limit(uint64_t given) {
            static_cast<uint64_t>(::sysconf(_SC_PAGESIZE));
 }
 
-// S on the device, its inverse, its factor and what the factorisation and the inverse work on.
-double exact_bytes(const BlockPattern& pattern) {
+// S on the device, its inverse, its factor, what the factorisation and the inverse work on, and the
+// pairs of observations.
+double exact_bytes(const UndampedSystem& system, const SchurStructure& structure) {
+    const BlockPattern pattern = schur_pattern(system.problem, system.device.layout(), structure);
     double num_values = 0;
     for (int32_t row = 0; row < pattern.num_blocks(); ++row)
         for (int64_t k = pattern.row_begin[row]; k < pattern.row_begin[row + 1]; ++k)
             num_values +=
                 double{1} * pattern.block_size[row] * pattern.block_size[pattern.columns[k]];
-    return sizeof(double) * (2 * num_values + 3 * estimate_factor_values(pattern));
+    return sizeof(double) * (2 * num_values + 3 * estimate_factor_values(pattern)) +
+           16.0 * static_cast<double>(count_pairs(system.problem));
 }
 
 void make_blocks(const Problem& problem, Covariance& covariance) {
@@ -155,10 +158,8 @@ void find(const UndampedSystem& system, const CovarianceOptions& options, Covari
     try {
         SchurStructure structure(system.problem, system.device.tiles(),
                                  ExplicitSchur::slice_size(system.device));
-        const double bytes =
-            exact_bytes(schur_pattern(system.problem, system.device.layout(), structure)) +
-            16.0 * static_cast<double>(count_pairs(system.problem));
-        if (may_sample && bytes > static_cast<double>(memory_limit(options.max_bytes)))
+        if (may_sample &&
+            exact_bytes(system, structure) > static_cast<double>(memory_limit(options.max_bytes)))
             return sample();
         find_exact_covariances(system, std::move(structure), covariance);
     } catch (const Error& error) {
