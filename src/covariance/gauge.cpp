@@ -308,7 +308,7 @@ void fix_gauge(const GaugeChoice& given, const GaugeTarget& target, Problem& pro
         const Vector3d moved = scale * (rotation * (vector_of(point) - from)) + to;
         std::copy_n(moved.data(), 3, point.begin());
     }
-    // Given back to its last bit.
+    // Without the rounding of the move.
     if (choice.gauge == Gauge::first_image_and_baseline)
         problem.images[choice.images[0]].pose = target.pose;
 }
