@@ -3,7 +3,9 @@
 // generated scene of about a million observations or on a BAL file:
 //   bench/kernels [--benchmark_filter=...] [--benchmark_repetitions=5]
 // CLBA_BENCH_SCENE: hall (default), street, landmark or the path of a BAL file;
-// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has.
+// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has;
+// CLBA_BENCH_PRIORS=1: every image has a prior of its position, and prior_product is what they add
+// to an iteration of conjugate gradients.
 #include <benchmark/benchmark.h>
 
 #include <chrono>
@@ -22,6 +24,7 @@
 #include "linear/device_problem.hpp"
 #include "linear/explicit_schur.hpp"
 #include "linear/normal_equations.hpp"
+#include "linear/prior_terms.hpp"
 #include "optimizer/evaluator.hpp"
 #include "reference/scene.hpp"
 
@@ -34,7 +37,7 @@ std::string environment(const char* name, const char* otherwise) {
     return value && *value ? value : otherwise;
 }
 
-Problem bench_scene() {
+Problem generated_or_read() {
     SceneOptions options;
     const std::string scene = environment("CLBA_BENCH_SCENE", "hall");
     if (scene != "hall" && scene != "street" && scene != "landmark") return read_bal(scene);
@@ -46,6 +49,15 @@ Problem bench_scene() {
     options.observations_per_image = static_cast<int32_t>(observations / options.num_images);
     options.seed = 1;
     return generate_scene(options).start;
+}
+
+Problem bench_scene() {
+    Problem scene = generated_or_read();
+    if (environment("CLBA_BENCH_PRIORS", "0") != "1") return scene;
+    for (int32_t i = 0; i < scene.num_images(); ++i)
+        scene.priors.positions.push_back(
+            {i, camera_center(scene.images[i].pose), {20, 0, 0, 2, 20, 0, 1, 3, 10}});
+    return scene;
 }
 
 // Everything that the kernels work on, at the scene's start.
@@ -134,6 +146,11 @@ int main(int argc, char** argv) {
              [](Rig& rig) {
                  rig.equations.jacobian.add_schur_product(rig.x, rig.equations.point_factors(),
                                                           rig.y);
+             }},
+            {"prior_product",
+             [](Rig& rig) {
+                 if (PriorTerms* priors = rig.device.priors())
+                     priors->add_image_product(rig.x.f, rig.y.f);
              }},
             {"image_blocks",
              [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},

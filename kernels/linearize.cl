@@ -11,7 +11,14 @@
 #include "jacobian_layout.clh"
 #include "point_root.clh"
 
-#define ZERO 1    // of the sums of a tile
+#ifndef POINT_PRIORS
+#define POINT_PRIORS 0  // 1: points have priors
+#endif
+#if POINT_PRIORS
+#include "point_priors.clh"
+#endif
+
+#define ZERO 1    // of the sums of a tile: they begin with its points' priors
 #define RUNS 2    // sums over its runs
 #define FINISH 4  // what is made of them; several segments share one FINISH
 #define POINT_SUMS 9  // V, or its root with NO_DOUBLE: xx, yx, yy, zx, zy, zz, then J_E^T r
@@ -30,6 +37,42 @@ static inline void cholesky_root(const WIDE* v, WIDE* l) {
     l[5] = sqrt(fmax(v[5] - l[3] * l[3] - l[4] * l[4], (WIDE)0));
 }
 
+#if POINT_PRIORS
+// sums += V and J^T r of the priors [begin, end), which are of the points of a tile.
+static inline void add_point_priors(int begin, int end, int m, global const int* slots,
+                                    global const WIDE* values, int first_slot,
+                                    global const WIDE* of_tile, int num_point_slots,
+                                    int point_capacity, global WIDE* sums) {
+    LANES(k, begin, end) {
+        const int i = slots[k] - first_slot;
+        const prior_root_t w = load_prior_root(values, m, k);
+        WIDE r0, r1, r2, g0, g1, g2;
+        prior_times(&w, prior_offset(values, m, k, of_tile, num_point_slots, i, 0),
+                    prior_offset(values, m, k, of_tile, num_point_slots, i, 1),
+                    prior_offset(values, m, k, of_tile, num_point_slots, i, 2), &r0, &r1, &r2);
+        prior_transposed(&w, r0, r1, r2, &g0, &g1, &g2);
+#ifdef NO_DOUBLE
+        WIDE v[6] = {0, 0, 0, 0, 0, 0};
+        add_row_to_root(v, w.w00, 0, 0);
+        add_row_to_root(v, w.w10, w.w11, 0);
+        add_row_to_root(v, w.w20, w.w21, w.w22);
+#else
+        const WIDE v[6] = {w.w00 * w.w00 + w.w10 * w.w10 + w.w20 * w.w20,
+                           w.w11 * w.w10 + w.w21 * w.w20,
+                           w.w11 * w.w11 + w.w21 * w.w21,
+                           w.w22 * w.w20,
+                           w.w22 * w.w21,
+                           w.w22 * w.w22};
+#endif
+#pragma unroll
+        for (int row = 0; row < 6; ++row) sums[row * point_capacity + i] = v[row];
+        sums[6 * point_capacity + i] = g0;
+        sums[7 * point_capacity + i] = g1;
+        sums[8 * point_capacity + i] = g2;
+    }
+}
+#endif
+
 // Groups share the tiles out among themselves: group g has tiles g, g + groups, ...
 // Writers: the group of a tile alone writes the rows and sums of its runs, and what belongs to its
 // points; point_sums holds POINT_SUMS rows of point_capacity a group.
@@ -46,6 +89,9 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                       global REAL* restrict point_roots,     // L of V = L L^T: 6 rows, like V
                       global REAL* restrict point_gradient,  // 3 rows
                       global WIDE* restrict wide_gradient,   // the same unrounded, or NULL
+                      global const int* restrict tile_priors,  // first of each tile, and end; or NULL
+                      int num_priors, global const int* restrict prior_slots,
+                      global const WIDE* restrict priors,  // point_priors.clh
                       int first_tile,
                       global WIDE* restrict tile_max,  // of |point_gradient|; inf for NaN
                       local WIDE* scratch) {
@@ -60,6 +106,13 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 LANES(i, 0, num_points) row[i] = 0;
             }
         }
+#if POINT_PRIORS
+        LANES_MEET();
+        if (stages & ZERO)
+            add_point_priors(tile_priors[tile], tile_priors[tile + 1], num_priors, prior_slots,
+                             priors, tile_points[tile], of_tile, num_point_slots, point_capacity,
+                             sums);
+#endif
         const int runs_end = stages & RUNS ? tile_runs[tile + 1] : tile_runs[tile];
         for (int run = tile_runs[tile]; run < runs_end; ++run) {
             const image_t image = load_image(images + IMAGE_RECORD * run_image[run]);

@@ -2,6 +2,7 @@
 """The clba command: what it prints and writes, its exit codes, and that bad input leaves nothing."""
 import gzip
 import json
+import math
 import os
 import pathlib
 import signal
@@ -270,6 +271,60 @@ class Solve(CliTest):
             self.clba("solve", file, "-o", name, "--quiet")
         self.assertEqual((self.folder / "a.txt").read_bytes(),
                          (self.folder / "b.txt").read_bytes())
+
+    def test_priors(self):
+        self.clba("generate", "street", "-o", "scene.txt", "--truth", "truth.txt", "--images", 12,
+                  "--observations-per-image", 80)
+        # BAL's "R, t, f, k1, k2" of the truth; centres -R^T t.
+        rows = (self.folder / "truth.txt").read_text(encoding="utf-8").split()
+        images, points, observations = map(int, rows[:3])
+        numbers = list(map(float, rows[3 + 4 * observations:]))
+        world = numbers[9 * images:]
+        gps = ["image, x, y, z, sx, sy, sz", "# centres", ""]
+        for i in range(images):
+            gps.append(f"{i}, " + ", ".join(map(str, self.center(numbers[9 * i:9 * i + 6]))) +
+                       ", 0.01,0.01,0.02")
+        gps = self.write("\n".join(gps), "gps.csv")
+        control = self.write("".join(f"{p}," + ",".join(map(str, world[3 * p:3 * p + 3])) +
+                                     ",0.01,0.01,0.01\r\n" for p in (0, points - 1)), "gcp.csv")
+        free = self.solve("scene.txt")
+        held = self.solve("scene.txt", "--position-priors", gps, "--point-priors", control, "-o",
+                          "out.txt")
+        self.assertEqual((free["gauge"], free["num_gauge_freedoms"]), ("free", 7))
+        self.assertEqual((held["gauge"], held["num_gauge_freedoms"]), ("fixed_by_priors", 0))
+        self.assertEqual(free["final_prior_cost"], 0)
+        self.assertGreater(held["initial_prior_cost"], 10 * held["final_prior_cost"])
+        self.assertGreater(held["final_prior_cost"], 0)
+        self.assertIn("fixed_by_priors", self.clba("solve", "scene.txt", "--point-priors", control,
+                                                   "--position-priors", gps).stdout)
+
+    @staticmethod
+    def center(pose):
+        """-R^T t with R = exp([w]_x): R^T t turns t by -w."""
+        w, t = pose[:3], pose[3:]
+        angle = math.sqrt(sum(x * x for x in w))
+        k = [-x / angle for x in w]
+        kt = [k[1] * t[2] - k[2] * t[1], k[2] * t[0] - k[0] * t[2], k[0] * t[1] - k[1] * t[0]]
+        along = sum(a * b for a, b in zip(k, t)) * (1 - math.cos(angle))
+        return [-(t[i] * math.cos(angle) + kt[i] * math.sin(angle) + k[i] * along)
+                for i in range(3)]
+
+    def test_bad_priors(self):
+        scene = self.scene()
+        for text, mentions in (
+                ("", "priors.csv: has no priors"),
+                ("0,1,2,3,1,1,1\nx,1,2,3,1,1,1\n", "priors.csv:2: the index is 'x'"),
+                ("0,1,2,3,1,1\n", "priors.csv:1: there is no sz"),
+                ("0,1,2,3,1,1,1,1\n", "priors.csv:1: there is more"),
+                ("0,1,nan,3,1,1,1\n", "priors.csv:1: y is 'nan'"),
+                ("0,1,2,3,1,1,0\n", "priors.csv:1: sz is '0'"),
+                ("99,1,2,3,1,1,1\n", "priors.csv: images[0] = 99, but num_images = 12"),
+                ("3,1,2,3,1,1,1\n3,1,2,3,1,1,1\n", "images[1] = 3")):
+            with self.subTest(text):
+                name = self.write(text, "priors.csv")
+                self.refused(FILE, "solve", scene, "-o", "out.txt", "--position-priors", name,
+                             mentions=mentions)
+        self.refused(FILE, "solve", scene, "--point-priors", "absent.csv", mentions="absent.csv")
 
     def test_limits_keep_the_best_state(self):
         file = self.scene()

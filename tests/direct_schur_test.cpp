@@ -162,7 +162,7 @@ void expect_dense_solution(const Problem& problem, std::mt19937& random) {
         ASSERT_LT(condition, 1e4);
 
         Eigen::VectorXd delta = Eigen::VectorXd::Constant(n, nan);
-        ASSERT_TRUE(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+        ASSERT_TRUE(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                                  delta.data()));
         EXPECT_EQ(direct.num_indefinite(), 0);
         EXPECT_LE((delta - expected).norm(), 20 * epsilon * condition * expected.norm());
@@ -259,7 +259,7 @@ TEST(DirectSchur, PointsAlone) {
     DirectSchur direct(problem, ParameterLayout(problem));
     const std::array<double, 3> gradient{2, -4, 1}, damping{1, 2, 4};
     std::array<double, 3> delta{};
-    ASSERT_TRUE(direct.solve({}, gradient.data(), damping.data(), delta.data()));
+    ASSERT_TRUE(direct.solve({}, gradient.data(), damping.data(), {}, delta.data()));
     EXPECT_DOUBLE_EQ(delta[0], -2);
     EXPECT_DOUBLE_EQ(delta[1], 2);
     EXPECT_DOUBLE_EQ(delta[2], -0.25);
@@ -294,7 +294,7 @@ TEST(DirectSchur, ReportsIndefiniteBlocksAndRecovers) {
     const System good = random_system(problem, layout, random);
     std::vector<double> delta(good.gradient.size());
     const auto solve = [&](const System& system) {
-        return direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+        return direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                             delta.data());
     };
     ASSERT_TRUE(solve(good));
@@ -331,7 +331,7 @@ TEST(DirectSchur, RefusesAnotherProblemsJacobian) {
     DirectSchur direct(problem, layout);
     System system = random_system(problem, layout, random);
     system.jacobian.image.pop_back();
-    EXPECT_THROW(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+    EXPECT_THROW(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                               system.gradient.data()),
                  Error);
 }

@@ -310,6 +310,7 @@ TEST_F(FaultTest, OpenClCallsFromTheContextOn) {
 struct SolverCase {
     const char* name;
     int32_t linear_solver, precision;
+    bool has_priors;
 };
 
 class SolveFaultTest : public FaultTest, public testing::WithParamInterface<SolverCase> {
@@ -318,6 +319,7 @@ protected:
         options.linear_solver = GetParam().linear_solver;
         options.precision = GetParam().precision;
         handle.problem = with_loss(with_uncertainties(tiny(), 5), LossKind::huber, 1.0);
+        if (GetParam().has_priors) handle.problem = with_priors(handle.problem, 6);
         EXPECT_EQ(clba_context_create(&context_options, &context), CLBA_OK) << clba_last_error();
         start = handle.problem;
         EXPECT_EQ(solve(), CLBA_OK) << clba_last_error();
@@ -392,12 +394,13 @@ TEST_P(SolveFaultTest, Allocations) {
     test_allocations(false);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Solvers, SolveFaultTest,
-    testing::Values(SolverCase{"PcgSchurMixed", CLBA_LINEAR_SOLVER_PCG_SCHUR, CLBA_PRECISION_MIXED},
-                    SolverCase{"PcgHessianDouble", CLBA_LINEAR_SOLVER_PCG_HESSIAN,
-                               CLBA_PRECISION_DOUBLE}),
-    [](const auto& instance) { return instance.param.name; });
+INSTANTIATE_TEST_SUITE_P(Solvers, SolveFaultTest,
+                         testing::Values(SolverCase{"PcgSchurMixed", CLBA_LINEAR_SOLVER_PCG_SCHUR,
+                                                    CLBA_PRECISION_MIXED, false},
+                                         SolverCase{"PcgHessianDouble",
+                                                    CLBA_LINEAR_SOLVER_PCG_HESSIAN,
+                                                    CLBA_PRECISION_DOUBLE, true}),
+                         [](const auto& instance) { return instance.param.name; });
 
 TEST_F(FaultTest, AllocationsFromTheContextOn) {
     const Problem start = tiny();

@@ -361,6 +361,50 @@ TEST_F(Solving, TheGradientIsTheProduct) {
     EXPECT_EQ(problem.offsets().intrinsics[0], 6);
 }
 
+TEST_F(Solving, PriorsArrive) {
+    const double bare = problem.evaluate(context).cost;
+    const auto added = [&] { return problem.evaluate(context).cost - bare; };
+    const std::array<double, 9> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    std::array<double, 36> unit6{};
+    for (size_t k = 0; k < 6; ++k) unit6[7 * k] = 1;
+    std::vector<Triple> centers = problem.centers();
+    centers.resize(2);
+    for (Triple& center : centers) center[0] += 2;
+    problem.set_position_priors(std::vector<int32_t>{0, 1}, centers,
+                                std::vector<std::array<double, 9>>{unit, unit});
+    EXPECT_NEAR(added(), 4, 1e-12 * bare);
+    problem.set_position_priors({}, {}, {});
+    EXPECT_EQ(added(), 0);
+    Triple point = problem.points()[3];
+    point[2] -= 2;
+    problem.set_point_priors(std::vector<int32_t>{3}, point, unit);
+    EXPECT_NEAR(added(), 2, 1e-12 * bare);
+    problem.set_point_priors({}, {}, {});
+    problem.set_pose_priors(std::vector<int32_t>{1}, problem.images().poses[1], unit6);
+    EXPECT_NEAR(added(), 0, 1e-12 * bare);
+    const std::vector<int32_t> pair = {0, 1};
+    problem.set_relative_pose_priors(pair, std::array<double, 7>{1, 0, 0, 0, 0, 0, 0}, unit6);
+    EXPECT_GT(added(), 0.01);
+    problem.set_relative_pose_priors({}, {}, {});
+    std::vector<double> params = problem.cameras().params;
+    params[6] += 2;
+    problem.set_intrinsics_priors(
+        std::vector<int32_t>{2}, std::vector<double>(params.begin() + 6, params.begin() + 9), unit);
+    EXPECT_NEAR(added(), 2, 1e-12 * bare);
+    expect_refused(
+        [&] {
+            problem.set_intrinsics_priors(std::vector<int32_t>{2}, std::vector<double>(2), unit);
+        },
+        "2 numbers");
+    expect_refused(
+        [&] {
+            problem.set_intrinsics_priors(std::vector<int32_t>{8}, std::vector<double>(3), unit);
+        },
+        "num_cameras");
+    expect_refused([&] { problem.set_position_priors(pair, centers, unit); }, "1 covariances");
+    EXPECT_EQ(clba::gauge_name(CLBA_GAUGE_FREE), "free");
+}
+
 TEST_F(Solving, StepsMovePoints) {
     const clba::ProblemInfo info = problem.info();
     const std::vector<Triple> before = problem.points();

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 #include <random>
+#include <set>
 #include <string>
 
 #include "reference/camera_models.hpp"
@@ -214,6 +215,92 @@ Problem with_uncertainties(Problem problem, uint64_t seed) {
     fill(problem.image_uncertainties, problem.images.size());
     fill(problem.camera_uncertainties, problem.cameras.size());
     fill(problem.point_uncertainties, problem.points.size());
+    return problem;
+}
+
+namespace {
+
+// L^-1 of a random covariance: n x n in rows of `stride` numbers.
+template <class Sigmas, class Whitening>
+void fill_whitening(Random& random, int n, int stride, const Sigmas& sigmas, Whitening& whitening) {
+    for (int r = 0; r < n; ++r)
+        for (int c = 0; c <= r; ++c)
+            whitening[r * stride + c] =
+                (r == c ? random.uniform(0.7, 1.3) : random.uniform(-0.5, 0.5)) / sigmas[c];
+}
+
+Pose disturbed(const Pose& pose, double rotation, double position, Random& random) {
+    std::array<double, 3> w;
+    for (double& x : w) x = random.uniform(-rotation, rotation);
+    Pose result = pose;
+    result.rotation = quaternion_product(quaternion_from_rotation_vector(w), pose.rotation);
+    for (double& t : result.translation) t += random.uniform(-position, position);
+    return result;
+}
+
+// Second camera from first camera.
+Pose relative_pose(const Pose& first, const Pose& second) {
+    const auto& q = first.rotation;
+    Pose relative;
+    relative.rotation = quaternion_product(second.rotation, {q[0], -q[1], -q[2], -q[3]});
+    const auto r = rotation_matrix(relative.rotation);
+    for (int k = 0; k < 3; ++k)
+        relative.translation[k] = second.translation[k] - (r[3 * k] * first.translation[0] +
+                                                           r[3 * k + 1] * first.translation[1] +
+                                                           r[3 * k + 2] * first.translation[2]);
+    return relative;
+}
+
+}  // namespace
+
+Problem with_priors(Problem problem, uint64_t seed) {
+    Random random(seed);
+    constexpr std::array<double, 3> of_position = {0.01, 0.02, 0.05};
+    constexpr std::array<double, 6> of_pose = {0.01, 0.02, 0.005, 0.03, 0.01, 0.02};
+    Priors& priors = problem.priors;
+    const auto near = [&](const Point& at) {
+        Point result = at;
+        for (double& x : result) x += random.uniform(-0.1, 0.1);
+        return result;
+    };
+    const int32_t n = problem.num_images();
+    for (int32_t i = 0; i < n; i += 2) {
+        priors.positions.push_back({i, near(camera_center(problem.images[i].pose)), {}});
+        fill_whitening(random, 3, 3, of_position, priors.positions.back().whitening);
+    }
+    for (int32_t i = 1; i < std::min(n, 3); ++i) {
+        priors.poses.push_back({i, disturbed(problem.images[i].pose, 0.05, 0.05, random), {}});
+        fill_whitening(random, 6, 6, of_pose, priors.poses.back().whitening);
+    }
+    for (int32_t c : std::set<int32_t>{0, problem.num_cameras() - 1}) {
+        IntrinsicsPrior prior;
+        prior.camera = c;
+        const int count = problem.cameras[c].num_params();
+        std::array<double, max_camera_params> sigmas;
+        for (int k = 0; k < count; ++k) {
+            prior.params[k] = problem.cameras[c].params[k];
+            sigmas[k] = 0.01 * std::max(std::abs(prior.params[k]), 0.01);
+            prior.params[k] += random.uniform(-3, 3) * sigmas[k];
+        }
+        fill_whitening(random, count, max_camera_params, sigmas, prior.whitening);
+        for (int k = 0; k < count; ++k)
+            prior.whitening[max_camera_params + k] = prior.whitening[max_camera_params * k + 1] = 0;
+        priors.intrinsics.push_back(prior);
+    }
+    for (int32_t p = 1; p < problem.num_points(); p += 4) {
+        priors.points.push_back({p, near(problem.points[p]), {}});
+        fill_whitening(random, 3, 3, of_position, priors.points.back().whitening);
+    }
+    const std::array<int32_t, 2> pairs[] = {{0, 3}, {0, 3}, {4, 1}, {n - 1, 0}};
+    for (const auto& [first, second] : pairs) {
+        if (first >= n || second >= n || first == second) continue;
+        const Pose relative =
+            relative_pose(problem.images[first].pose, problem.images[second].pose);
+        priors.relative_poses.push_back(
+            {first, second, disturbed(relative, 0.05, 0.05, random), {}});
+        fill_whitening(random, 6, 6, of_pose, priors.relative_poses.back().whitening);
+    }
+    problem.validate();
     return problem;
 }
 

@@ -30,6 +30,11 @@ Problem with_loss(Problem problem, LossKind kind, double scale);
 // of camera 0, all parameters of the last camera and every fifth point, as far as they exist.
 Problem with_constants(Problem problem);
 Problem with_uncertainties(Problem problem, uint64_t seed);  // between 0.1 and 10
+// All kinds of priors, of covariances with cross terms, and targets that the state is some sigmas
+// away from: positions of even images, the poses of images 1 and 2, intrinsics of the first and the
+// last camera but for their second parameter, every fourth point from point 1, and relative poses
+// of images 0 and 3 (two), 4 and 1, and the last and the first, as far as they exist.
+Problem with_priors(Problem problem, uint64_t seed);
 
 // The same problem in a world moved by offset (along each axis) or enlarged by factor.
 Problem shifted(Problem problem, double offset);

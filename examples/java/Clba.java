@@ -110,7 +110,8 @@ public final class Clba {
             "jty_device_seconds", "schur_device_seconds", "vector_device_seconds",
             "peak_device_bytes", "device", "message", "given_linear_solver",
             "given_preconditioner", "given_precision", "jacobian", "factorization_seconds",
-            "host_seconds", "choice"})
+            "host_seconds", "choice", "gauge", "num_gauge_freedoms", "initial_prior_cost",
+            "final_prior_cost"})
         class clba_summary extends Structure {
             public int struct_size;
             public int termination;
@@ -157,6 +158,10 @@ public final class Clba {
             public double factorization_seconds;
             public double host_seconds;
             public byte[] choice = new byte[256];
+            public int gauge;
+            public int num_gauge_freedoms;
+            public double initial_prior_cost;
+            public double final_prior_cost;
         }
     }
 

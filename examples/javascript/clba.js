@@ -101,6 +101,10 @@ const summary = koffi.struct('clba_summary', {
   factorization_seconds: 'double',
   host_seconds: 'double',
   choice: koffi.array('char', 256),
+  gauge: 'int32_t',
+  num_gauge_freedoms: 'int32_t',
+  initial_prior_cost: 'double',
+  final_prior_cost: 'double',
 });
 
 export const structs = {

@@ -132,6 +132,10 @@ pub mod c {
         factorization_seconds: f64,
         host_seconds: f64,
         choice: [c_char; 256],
+        gauge: i32,
+        num_gauge_freedoms: i32,
+        initial_prior_cost: f64,
+        final_prior_cost: f64,
     });
 
     #[link(name = "clba")]

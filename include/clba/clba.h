@@ -16,7 +16,7 @@
  * Terms are COLMAP's: a camera is a set of intrinsics with a model, an image is a pose that refers
  * to a camera (several images may share one), and a pose is camera_from_world: P = R X + t.
  * The cost is 1/2 sum_i rho(|r_i|^2) with r_i = L_i^-1 (projection - observation) and L_i L_i^T the
- * covariance of observation i. */
+ * covariance of observation i, and what priors add to it. */
 #ifndef CLBA_CLBA_H
 #define CLBA_CLBA_H
 #include <stddef.h>
@@ -244,6 +244,57 @@ CLBA_API const char* clba_loss_name(int32_t loss); /* NULL: no such loss */
 /* scale > 0, finite; ignored for CLBA_LOSS_NONE. */
 CLBA_API clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, double scale);
 
+/* ---- Priors ---------------------------------------------------------------------------------- */
+
+/* What is known of parameters beside the observations, as Gaussian residuals: each prior adds
+ *   1/2 |L^-1 (h(x) - target)|^2
+ * to the cost, with L L^T its covariance, without a loss. Covariances are symmetric, positive
+ * definite n x n matrices, row-major, n n numbers a row. Rows are of any images, cameras or points,
+ * each at most once; setters replace all priors of their kind, and a count of 0 removes them.
+ * Replacing images, cameras or points by another number of them, or cameras by those of other
+ * models, drops their priors. Constant parameters keep the residuals of their priors and do not
+ * move. Priors of positions or poses of three images that are not on a line, for example, fix the
+ * gauge: then leave everything free. Start from a state that is near them, as of a reconstruction
+ * that was aligned. */
+
+/* Camera centres, as of GPS: h = -R^T t; target and 3 x 3 covariance in world units. */
+CLBA_API clba_status clba_problem_set_position_priors(clba_problem* problem, int32_t count,
+                                                      const int32_t* images, size_t images_stride,
+                                                      const double* positions,
+                                                      size_t positions_stride,
+                                                      const double* covariances,
+                                                      size_t covariances_stride);
+/* Whole poses, targets in the format of clba_problem_set_images: with R0 and t0 of the target the
+ * residual is log(R R0^T), a rotation vector in rad along the camera's axes, then the centre
+ * -R^T t less -R0^T t0 in world units; 6 x 6 covariance in this order. */
+CLBA_API clba_status clba_problem_set_pose_priors(clba_problem* problem, int32_t count,
+                                                  const int32_t* images, size_t images_stride,
+                                                  const double* poses, size_t poses_stride,
+                                                  const double* covariances,
+                                                  size_t covariances_stride);
+/* Intrinsics: h = params, in rows and units of clba_problem_set_cameras; n x n covariance for the n
+ * parameters of the camera's model, so that rows differ in length where models do. A variance of
+ * infinity, the rest of its row and column 0, leaves a parameter without a prior. */
+CLBA_API clba_status clba_problem_set_intrinsics_priors(clba_problem* problem, int32_t count,
+                                                        const int32_t* cameras,
+                                                        size_t cameras_stride, const double* params,
+                                                        size_t params_stride,
+                                                        const double* covariances,
+                                                        size_t covariances_stride);
+/* Points, as of ground control: h = X; target and 3 x 3 covariance in world units. */
+CLBA_API clba_status clba_problem_set_point_priors(clba_problem* problem, int32_t count,
+                                                   const int32_t* points, size_t points_stride,
+                                                   const double* positions, size_t positions_stride,
+                                                   const double* covariances,
+                                                   size_t covariances_stride);
+/* Relative poses, as of odometry, of pairs of different images: two indices a row; a pair may have
+ * several. Targets are poses (M, m) of the second camera from the first: with (R, t) = T_second
+ * T_first^-1, T camera_from_world, the residual is log(M^T R) in rad, then M^T (t - m) in world
+ * units; 6 x 6 covariance in this order. */
+CLBA_API clba_status clba_problem_set_relative_pose_priors(
+    clba_problem* problem, int32_t count, const int32_t* pairs, size_t pairs_stride,
+    const double* poses, size_t poses_stride, const double* covariances, size_t covariances_stride);
+
 /* ---- Solving --------------------------------------------------------------------------------- */
 
 enum {
@@ -260,7 +311,8 @@ enum {
     CLBA_PRECONDITIONER_BLOCK_JACOBI = 1, /* inverse diagonal blocks of the damped Hessian */
     CLBA_PRECONDITIONER_SCHUR_JACOBI = 2  /* inverse diagonal blocks of S; pcg_schur only */
 };
-/* The step solves (J^T J + lambda D^2) delta = -J^T r with, for parameter i of uncertainty c_i,
+/* The step solves (J^T J + lambda D^2) delta = -J^T r, residuals of priors included, with, for
+ * parameter i of uncertainty c_i,
  *   marquardt    D_i^2 = diag(J^T J)_i, clamped to [min_damping_diagonal, max_damping_diagonal] for
  *                c_i = 1. Invariant under column scaling: uncertainties change only the clamp.
  *   levenberg    D_i = s_i / c_i, where s_i = 1 + sqrt(diag(J^T J)_i) at the first linearisation
@@ -297,7 +349,8 @@ typedef struct clba_iteration {
     int32_t linear_solver_iterations; /* 1 for direct_schur */
     int32_t reserved;                 /* 0 */
     int64_t num_behind;               /* observations of points behind their camera */
-    double cost;        /* of the state kept: 1/2 sum rho(|r|^2), squared pixels (or sigmas) */
+    double cost;        /* of the state kept: 1/2 sum rho(|r|^2), squared pixels (or sigmas), and
+                           that of priors */
     double cost_change; /* cost before the step minus cost after it; > 0 is a decrease */
     double gradient_max_norm;
     double step_norm;           /* Euclidean, over all free parameters */
@@ -365,6 +418,15 @@ enum {
     CLBA_REASON_NOTHING_TO_DO = 11 /* no observations, or every parameter is constant */
 };
 
+/* What holds the 7 freedoms of a similarity (rotation, translation, scale of the world), along
+ * which observations alone leave the state free. */
+enum {
+    CLBA_GAUGE_FREE = 0,               /* not all of them are held */
+    CLBA_GAUGE_FIXED_BY_CONSTANTS = 1, /* constant poses and points hold all */
+    CLBA_GAUGE_FIXED_BY_PRIORS = 2     /* priors hold what constants leave */
+};
+CLBA_API const char* clba_gauge_name(int32_t gauge); /* NULL: no such value */
+
 typedef struct clba_summary {
     uint32_t struct_size;
     int32_t termination; /* CLBA_CONVERGENCE, ... */
@@ -413,9 +475,13 @@ typedef struct clba_summary {
     int32_t given_precision;
     int32_t jacobian;             /* the one used */
     double factorization_seconds; /* of explicit_schur and direct_schur: on the host */
-    double host_seconds; /* what is left of total_seconds without kernels, their building and
-                            factorizations; 0 where the queue has no profiling */
-    char choice[256];    /* why auto chose as it did, for people */
+    double host_seconds;        /* what is left of total_seconds without kernels, their building and
+                                   factorizations; 0 where the queue has no profiling */
+    char choice[256];           /* why auto chose as it did, for people */
+    int32_t gauge;              /* at the start */
+    int32_t num_gauge_freedoms; /* that neither constants nor priors hold; 0 to 7 */
+    double initial_prior_cost;  /* of initial_cost: what priors add */
+    double final_prior_cost;    /* of final_cost */
 } clba_summary;
 
 /* Minimises the cost from the problem's state and leaves it at the best state found, however the
@@ -450,16 +516,17 @@ CLBA_API clba_status clba_problem_get_offsets(const clba_problem* problem,
                                               int64_t* intrinsics_offsets); /* num_cameras */
 
 /* What to compute; a NULL output is skipped. Residuals and Jacobian are whitened by the covariances
- * and multiplied by sqrt(rho'), so that gradient = J^T r. The Jacobian is in block compressed
- * sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6 columns)
- * and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the right), and a 2
- * x 3 block for its point. */
+ * and multiplied by sqrt(rho'), so that gradient = J^T r, to which priors add: cost and gradient
+ * include them, residuals and Jacobian are those of observations alone. The Jacobian is in block
+ * compressed sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6
+ * columns) and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the
+ * right), and a 2 x 3 block for its point. */
 typedef struct clba_evaluation {
     uint32_t struct_size;
     int32_t precision;       /* in: CLBA_PRECISION_DOUBLE by default */
     int32_t apply_loss;      /* in: 1; 0 leaves the loss out, as if it were CLBA_LOSS_NONE */
     int32_t reserved;        /* 0 */
-    double cost;             /* out */
+    double cost;             /* out: with priors */
     int64_t num_behind;      /* out: observations of points behind their camera */
     int64_t num_singular;    /* out: observations in the camera's own plane */
     double* residuals;       /* out, num_observations x 2 */
@@ -475,9 +542,10 @@ CLBA_API clba_status clba_problem_evaluate(clba_problem* problem, clba_context* 
 enum {
     CLBA_PRODUCT_JX = 1,          /* x: num_parameters; y: num_observations x 2 */
     CLBA_PRODUCT_JTY = 2,         /* x: num_observations x 2; y: num_parameters */
-    CLBA_PRODUCT_BLOCK_JACOBI = 3 /* y = M^-1 x with M the diagonal blocks of J^T J + lambda
-                                     diag(J^T J): one an image with its own camera, one a shared
-                                     camera, one a point; both num_parameters */
+    CLBA_PRODUCT_BLOCK_JACOBI = 3 /* y = M^-1 x with M the diagonal blocks of H + lambda diag(H), H
+                                     = J^T J and what priors add to it: one an image with its own
+                                     camera, one a shared camera, one a point; both num_parameters
+                                   */
 };
 /* Error if M has an indefinite block. lambda >= 0 is used by BLOCK_JACOBI alone. */
 CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* context,

@@ -162,6 +162,9 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
+inline std::string_view gauge_name(int32_t gauge) {
+    return detail::name(clba_gauge_name, gauge, "gauge");
+}
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
 }
@@ -482,6 +485,45 @@ public:
         check(clba_problem_set_point_uncertainties(
             object_, detail::count32(values.count(), "points"), values.data(), values.stride()));
     }
+    // -- Priors: all of a kind; {} removes them
+
+    void set_position_priors(Rows<const int32_t, 1> images, Rows<const double, 3> positions,
+                             Rows<const double, 9> covariances) {
+        set_priors(clba_problem_set_position_priors, images, positions, covariances);
+    }
+    void set_pose_priors(Rows<const int32_t, 1> images, Rows<const double, 7> poses,
+                         Rows<const double, 36> covariances) {
+        set_priors(clba_problem_set_pose_priors, images, poses, covariances);
+    }
+    // covariances: n x n numbers a camera of n parameters.
+    void set_intrinsics_priors(Rows<const int32_t, 1> cameras, CameraRows<const double> params,
+                               CameraRows<const double> covariances) {
+        const std::vector<int32_t> models = camera_models();
+        int64_t size = 0, squared_size = 0;
+        bool is_known = true;  // else the C function says which is not
+        for (int64_t i = 0; i < cameras.count(); ++i) {
+            const int32_t camera = value(cameras, i);
+            is_known = is_known && camera >= 0 && camera < static_cast<int32_t>(models.size());
+            if (!is_known) break;
+            const int64_t n = camera_model_num_params(models[static_cast<size_t>(camera)]);
+            size += n;
+            squared_size += n * n;
+        }
+        if (is_known) params.require_size(size);
+        if (is_known) covariances.require_size(squared_size);
+        check(clba_problem_set_intrinsics_priors(
+            object_, detail::count32(cameras.count(), "priors"), cameras.data(), cameras.stride(),
+            params.data(), params.stride(), covariances.data(), covariances.stride()));
+    }
+    void set_point_priors(Rows<const int32_t, 1> points, Rows<const double, 3> positions,
+                          Rows<const double, 9> covariances) {
+        set_priors(clba_problem_set_point_priors, points, positions, covariances);
+    }
+    void set_relative_pose_priors(Rows<const int32_t, 2> pairs, Rows<const double, 7> poses,
+                                  Rows<const double, 36> covariances) {
+        set_priors(clba_problem_set_relative_pose_priors, pairs, poses, covariances);
+    }
+
     void set_loss(int32_t loss, double scale = 1) {
         check(clba_problem_set_loss(object_, loss, scale));
     }
@@ -651,6 +693,15 @@ private:
                     reinterpret_cast<const char*>(rows.data()) + static_cast<size_t>(i) * stride,
                     sizeof value);
         return value;
+    }
+    template <class Set, class Subjects, class Targets, class Covariances>
+    void set_priors(Set* set, const Subjects& subjects, const Targets& targets,
+                    const Covariances& covariances) {
+        detail::require_equal(targets.count(), subjects.count(), "targets", "priors");
+        detail::require_equal(covariances.count(), subjects.count(), "covariances", "priors");
+        check(set(object_, detail::count32(subjects.count(), "priors"), subjects.data(),
+                  subjects.stride(), targets.data(), targets.stride(), covariances.data(),
+                  covariances.stride()));
     }
     static int64_t num_params(const std::vector<int32_t>& models) {
         int64_t sum = 0;

@@ -166,6 +166,7 @@ clba_status clba_problem_set_cameras(clba_problem* problem, int32_t count, const
             !is_same_number ||
             !std::equal(cameras.begin(), cameras.end(), p.cameras.begin(),
                         [](const Camera& a, const Camera& b) { return a.model == b.model; });
+        if (is_other_structure) p.priors.intrinsics.clear();
         p.cameras = std::move(cameras);
         return is_other_structure;
     });
@@ -201,6 +202,9 @@ clba_status clba_problem_set_images(clba_problem* problem, int32_t count,
             drop_observations(p);
             p.constant_images.clear();
             p.image_uncertainties.clear();
+            p.priors.positions.clear();
+            p.priors.poses.clear();
+            p.priors.relative_poses.clear();
         }
         const bool is_other_structure =
             !std::equal(images.begin(), images.end(), p.images.begin(), p.images.end(),
@@ -228,6 +232,7 @@ clba_status clba_problem_set_points(clba_problem* problem, int32_t count, const 
             drop_observations(p);
             p.constant_points.clear();
             p.point_uncertainties.clear();
+            p.priors.points.clear();
         }
         p.points = std::move(points);
         return is_other_structure;

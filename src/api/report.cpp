@@ -127,10 +127,17 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
     append(text, "  final                      %.9e\n", s.final_cost);
     append(text, "  final, by the reference    %.9e\n", s.reference_final_cost);
     append(text, "  change                     %.9e\n", s.initial_cost - s.final_cost);
+    if (s.initial_prior_cost > 0 || s.final_prior_cost > 0) {
+        append(text, "  of priors, initial         %.9e\n", s.initial_prior_cost);
+        append(text, "  of priors, final           %.9e\n", s.final_prior_cost);
+    }
     if (!rows.empty())
         append(text, "  final max norm of gradient %.3e\n", rows.back().gradient_max_norm);
 
-    append(text, "\nIterations                   %d\n", s.num_iterations);
+    append(text, "\nGauge                        %s%s", clba_gauge_name(s.gauge),
+           s.num_gauge_freedoms > 0 ? "" : "\n");
+    if (s.num_gauge_freedoms > 0) append(text, " in %d of 7 directions\n", s.num_gauge_freedoms);
+    append(text, "Iterations                   %d\n", s.num_iterations);
     append(text, "  accepted steps             %d\n", s.num_accepted_steps);
     append(text, "  rejected steps             %d\n", s.num_rejected_steps);
     append(text, "  invalid steps              %d\n", s.num_invalid_steps);
@@ -189,6 +196,10 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     json.add("initial_cost", s.initial_cost);
     json.add("final_cost", s.final_cost);
     json.add("reference_final_cost", s.reference_final_cost);
+    json.add("initial_prior_cost", s.initial_prior_cost);
+    json.add("final_prior_cost", s.final_prior_cost);
+    json.add("gauge", clba_gauge_name(s.gauge));
+    json.add("num_gauge_freedoms", s.num_gauge_freedoms);
     json.add("num_iterations", s.num_iterations);
     json.add("num_accepted_steps", s.num_accepted_steps);
     json.add("num_rejected_steps", s.num_rejected_steps);

@@ -222,6 +222,10 @@ clba_summary public_summary(const Summary& summary, const clba_solver_options& g
         out.host_seconds = summary.total_seconds - summary.build_seconds -
                            summary.factorization_seconds - device_seconds;
     copy_text(summary.choice, out.choice);
+    out.gauge = static_cast<int32_t>(summary.gauge.gauge);
+    out.num_gauge_freedoms = summary.gauge.num_freedoms;
+    out.initial_prior_cost = summary.initial_prior_cost;
+    out.final_prior_cost = summary.final_prior_cost;
     return out;
 }
 
@@ -436,6 +440,19 @@ const char* clba_jacobian_name(int32_t jacobian) {
             return "recomputed";
         case CLBA_JACOBIAN_STORED:
             return "stored";
+        default:
+            return nullptr;
+    }
+}
+
+const char* clba_gauge_name(int32_t gauge) {
+    switch (gauge) {
+        case CLBA_GAUGE_FREE:
+            return "free";
+        case CLBA_GAUGE_FIXED_BY_CONSTANTS:
+            return "fixed_by_constants";
+        case CLBA_GAUGE_FIXED_BY_PRIORS:
+            return "fixed_by_priors";
         default:
             return nullptr;
     }

@@ -11,6 +11,7 @@
 #include "cli/interrupt.hpp"
 #include "cli/options.hpp"
 #include "cli/outputs.hpp"
+#include "cli/priors.hpp"
 #include "cli/solver_run.hpp"
 #include "cli/verify.hpp"
 
@@ -26,6 +27,8 @@ struct SolveArguments {
     std::string output;
     std::string ply;
     std::string json;
+    std::string position_priors;
+    std::string point_priors;
     std::string device;
     int32_t loss = CLBA_LOSS_NONE;
     double loss_scale = 1;
@@ -47,6 +50,9 @@ Problem read_start(const SolveArguments& arguments) {
     if (info_of(problem.get()).num_observations == 0)
         throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
     check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
+    if (!arguments.position_priors.empty())
+        read_position_priors(arguments.position_priors, problem.get());
+    if (!arguments.point_priors.empty()) read_point_priors(arguments.point_priors, problem.get());
     return problem;
 }
 
@@ -144,6 +150,18 @@ void add_output_options(CLI::App& command, SolveArguments& arguments) {
     command.add_flag("--quiet", arguments.quiet, "print errors only");
 }
 
+void add_priors(CLI::App& command, SolveArguments& arguments) {
+    command
+        .add_option("--position-priors", arguments.position_priors,
+                    "CSV file of camera centres, as by GPS: image, x, y, z, sx, sy, sz with the "
+                    "image's index and standard deviations, in the world's units")
+        ->check(not_empty);
+    command
+        .add_option("--point-priors", arguments.point_priors,
+                    "CSV file of points, as of ground control: point, x, y, z, sx, sy, sz")
+        ->check(not_empty);
+}
+
 void add_solver_options(CLI::App& command, SolveArguments& arguments) {
     clba_solver_options& options = arguments.options;
     command.add_option("--device", arguments.device,
@@ -209,6 +227,7 @@ void add_solve(CLI::App& program, int& result) {
     command->add_option("FILE", arguments->file, "BAL problem: plain, gzip or bzip2 text")
         ->required();
     add_output_options(*command, *arguments);
+    add_priors(*command, *arguments);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);
     command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });

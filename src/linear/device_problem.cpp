@@ -3,6 +3,7 @@
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 namespace {
@@ -39,23 +40,12 @@ void require_double(const Context& context) {
              "single does without");
 }
 
-// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
-void split(double coordinate, float* parts, int64_t low) {
-    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
-    // volatile.
-    const volatile float high = static_cast<float>(coordinate);
-    parts[0] = high;
-    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
-}
 // What the device did not move keeps the digits that it had no room for.
 void join(const float* parts, int64_t low, double& coordinate) {
     float before[2];
-    split(coordinate, before, 1);
+    split_position(coordinate, before, 1);
     if (parts[0] != before[0] || parts[low] != before[1])
         coordinate = static_cast<double>(parts[0]) + static_cast<double>(parts[low]);
-}
-void split(double coordinate, double* parts, int64_t) {
-    parts[0] = coordinate;
 }
 void join(const double* parts, int64_t, double& coordinate) {
     coordinate = parts[0];
@@ -74,7 +64,7 @@ void upload_pose(const Pose& pose, float* values) {
     std::transform(pose.rotation.begin(), pose.rotation.end(), values,
                    [](double x) { return static_cast<float>(x); });
     const Point center = camera_center(pose);
-    for (int k = 0; k < 3; ++k) split(center[k], values + 4 + k, 3);
+    for (int k = 0; k < 3; ++k) split_position(center[k], values + 4 + k, 3);
 }
 void download_pose(const float* values, Pose& pose) {
     std::array<float, 10> before;
@@ -91,6 +81,17 @@ void download_pose(const float* values, Pose& pose) {
 }
 
 }  // namespace
+
+void split_position(double coordinate, float* parts, int64_t low) {
+    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
+    // volatile.
+    const volatile float high = static_cast<float>(coordinate);
+    parts[0] = high;
+    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
+}
+void split_position(double coordinate, double* parts, int64_t) {
+    parts[0] = coordinate;
+}
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
                              Precision precision)
@@ -111,7 +112,10 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     upload_structure(problem);
     state = make_state();
     trial = make_state();
+    if (!problem.priors.empty()) priors_ = std::make_unique<PriorTerms>(*this, problem);
 }
+
+DeviceProblem::~DeviceProblem() = default;
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
     static const std::vector<std::string> paths = [] {
@@ -305,8 +309,8 @@ void DeviceProblem::upload_state(const Problem& problem) {
             const auto rows = state.points[c].map_write<Wide>();
             for_slots(n, [&](int64_t slot) {
                 for (int k = 0; k < 3; ++k)
-                    split(slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k],
-                          &rows[k * n + slot], 3 * n);
+                    split_position(slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k],
+                                   &rows[k * n + slot], 3 * n);
             });
         }
     });
@@ -323,15 +327,7 @@ void DeviceProblem::download_state(Problem& problem) const {
         for (size_t c = 0; c < chunks_.size(); ++c)
             points[c].reset(new Rows(state.points[c].map_read<Wide>()));
 
-        for (int32_t i = 0; i < num_images_; ++i)
-            download_pose(&poses[int64_t{pose_values()} * i], problem.images[i].pose);
-        for (int32_t c = 0; c < num_cameras_; ++c) {
-            for (int32_t k = 0; k < most_camera_params_; ++k) {
-                const Wide value = params[most_camera_params_ * int64_t{c} + k];
-                double& kept = problem.cameras[c].params[k];
-                if (value != static_cast<Wide>(kept)) kept = value;
-            }
-        }
+        copy_images(poses.data(), params.data(), problem.images, problem.cameras);
         for (size_t c = 0; c < chunks_.size(); ++c) {
             const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
             const auto n = static_cast<int64_t>(slot_point.size());
@@ -342,6 +338,29 @@ void DeviceProblem::download_state(Problem& problem) const {
                              problem.points[slot_point[slot]][k]);
             });
         }
+    });
+}
+
+template <class Wide>
+void DeviceProblem::copy_images(const Wide* poses, const Wide* params, std::vector<Image>& images,
+                                std::vector<Camera>& cameras) const {
+    for (int32_t i = 0; i < num_images_; ++i)
+        download_pose(&poses[int64_t{pose_values()} * i], images[i].pose);
+    for (int32_t c = 0; c < num_cameras_; ++c) {
+        for (int32_t k = 0; k < most_camera_params_; ++k) {
+            const Wide value = params[most_camera_params_ * int64_t{c} + k];
+            double& kept = cameras[c].params[k];
+            if (value != static_cast<Wide>(kept)) kept = value;
+        }
+    }
+}
+
+void DeviceProblem::download_images(const State& from, std::vector<Image>& images,
+                                    std::vector<Camera>& cameras) const {
+    for_wide([&](auto wide) {
+        const auto poses = from.poses.map_read<decltype(wide)>();
+        const auto params = from.camera_params.map_read<decltype(wide)>();
+        copy_images(poses.data(), params.data(), images, cameras);
     });
 }
 

@@ -51,11 +51,18 @@ struct State {
     }
 };
 
+class PriorTerms;
+
+// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
+void split_position(double coordinate, float* parts, int64_t low);
+void split_position(double coordinate, double* parts, int64_t low);
+
 // A problem on a device: its structure in tiles, its measurements and two states. Everything that
 // is laid out on the device is translated to and from the caller's order here.
 class DeviceProblem {
 public:
     DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
+    ~DeviceProblem();
 
     Queue& queue() { return queue_; }
     Precision precision() const { return precision_; }
@@ -67,6 +74,9 @@ public:
 
     void upload_state(const Problem& problem);    // into `state`
     void download_state(Problem& problem) const;  // from `state`
+    // Poses and the parameters of cameras, of a state.
+    void download_images(const State& from, std::vector<Image>& images,
+                         std::vector<Camera>& cameras) const;
     // trial = state moved by step; points only where step has an E side.
     void update(const Vector& step);
     // Launches a kernel over the tiles of a chunk for one of its segments: the arguments follow
@@ -115,6 +125,7 @@ public:
     void fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit);
 
     const VisibilityTiles& tiles() const { return tiles_; }
+    PriorTerms* priors() const { return priors_.get(); }  // NULL: there are none
     size_t num_segments() const;
 
     // Buffers of the F side.
@@ -139,6 +150,9 @@ private:
     void upload_structure(const Problem& problem);
     DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
     State make_state();
+    template <class Wide>
+    void copy_images(const Wide* poses, const Wide* params, std::vector<Image>& images,
+                     std::vector<Camera>& cameras) const;
     int pose_values() const { return 4 + 3 * position_parts(precision_); }
     template <class Visit>
     void for_wide(Visit&& visit) const {
@@ -154,6 +168,7 @@ private:
     int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0, most_camera_params_ = 0;
     std::vector<DeviceChunk> chunks_;
     Buffer image_camera_, camera_num_params_, camera_offsets_;
+    std::unique_ptr<PriorTerms> priors_;
 };
 
 template <class RowsOf>

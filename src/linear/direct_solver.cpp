@@ -2,6 +2,7 @@
 #include "linear/direct_solver.hpp"
 
 #include "base/stopwatch.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 namespace {
@@ -95,7 +96,10 @@ LinearSolution DirectSolver::solve(double lambda) {
     LinearSolution solution;
     solution.num_iterations = 1;
     const Stopwatch watch;
-    solution.is_usable = direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
+    const PriorTerms* priors = device.priors();
+    solution.is_usable =
+        direct_.solve(jacobian_, gradient_.data(), damping_.data(),
+                      priors ? priors->values() : std::vector<double>(), step_.data());
     solution.factorization_seconds = watch.seconds();
     solution.num_indefinite_blocks = direct_.num_indefinite();
     if (!solution.is_usable) return solution;

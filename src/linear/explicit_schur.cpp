@@ -8,6 +8,7 @@
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
+#include "linear/prior_terms.hpp"
 #include "linear/reduced_system.hpp"
 
 namespace clba {
@@ -58,6 +59,7 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
     has_constants_ = std::any_of(layout.scale.begin(), layout.scale.end(),
                                  [](double scale) { return !(scale > 0); });
     if (has_shared_cameras_) list_targets(problem, pattern_);
+    if (device.priors()) list_prior_targets();
     if (!is_in_place()) values_.resize(static_cast<size_t>(cholesky_.num_values()));
     std::vector<int32_t> rows, columns;
     for (int32_t i = 0; i < problem.num_images(); ++i) {
@@ -131,6 +133,30 @@ void ExplicitSchur::list_targets(const Problem& problem, const BlockPattern& pat
     }
 }
 
+// P has no entry outside of the blocks of S: its diagonal blocks, and those of two poses with a
+// prior of their relative pose.
+void ExplicitSchur::list_prior_targets() {
+    const ParameterLayout& layout = equations_.problem().layout();
+    const reference::ImagePriors& priors = equations_.problem().priors()->image_priors();
+    std::vector<int32_t> block_of(static_cast<size_t>(layout.num_f));
+    for (int32_t b = 0; b < pattern_.num_blocks(); ++b)
+        std::fill_n(block_of.begin() + layout.blocks[b].offset, layout.blocks[b].size, b);
+    for (size_t i = 0; i < priors.rows().size(); ++i) {
+        const int32_t row = block_of[priors.rows()[i]];
+        const int32_t r = priors.rows()[i] - layout.blocks[row].offset;
+        const auto begin = pattern_.columns.begin() + pattern_.row_begin[row];
+        const auto end = pattern_.columns.begin() + pattern_.row_begin[row + 1];
+        for (int32_t k = priors.row_begin()[i]; k < priors.row_begin()[i + 1]; ++k) {
+            const int32_t column = block_of[priors.columns()[k]];
+            if (column > row) continue;
+            const int64_t entry = std::lower_bound(begin, end, column) - pattern_.columns.begin();
+            const int32_t c = priors.columns()[k] - layout.blocks[column].offset;
+            prior_targets_.push_back(
+                {cholesky_.value_offset(entry) + int64_t{r} * layout.blocks[column].size + c, k});
+        }
+    }
+}
+
 void ExplicitSchur::form_blocks() {
     DeviceProblem& device = equations_.problem();
     Queue& queue = device.queue();
@@ -161,10 +187,12 @@ void ExplicitSchur::form_blocks() {
     }
 }
 
-// Adds lambda D^2, and leaves constants out.
+// Adds priors and lambda D^2, and leaves constants out.
 void ExplicitSchur::finish_values(double lambda, double* values) {
     const ParameterLayout& layout = equations_.problem().layout();
     const auto is_free = [&](int32_t scalar) { return layout.scale[scalar] > 0; };
+    for (const PriorTarget& target : prior_targets_)
+        values[target.value] += equations_.problem().priors()->values()[target.source];
     for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
         const ParameterBlock& block = layout.blocks[row];
         for (int64_t entry = pattern_.row_begin[row];

@@ -38,6 +38,7 @@ private:
     };
 
     void list_targets(const Problem& problem, const BlockPattern& pattern);
+    void list_prior_targets();
     bool factorize(double lambda, double& seconds);  // adds what it took
     void finish_values(double lambda, double* values);
 
@@ -54,6 +55,11 @@ private:
     bool has_constants_;
     std::vector<Target> targets_;  // only if there are shared cameras
     std::vector<double> values_;   // of S, likewise
+    struct PriorTarget {
+        int64_t value;   // of S
+        int32_t source;  // of P (prior_terms.hpp)
+    };
+    std::vector<PriorTarget> prior_targets_;
     std::vector<double> damping_, right_side_;
     int32_t max_columns_ = 0;
     // On the device.

@@ -29,12 +29,12 @@ struct LinearSolution {
     bool is_usable = false;  // false: no step, damp more
     int num_iterations = 0;
     int64_t num_indefinite_blocks = 0;
-    double model_decrease = 0;  // -gradient . step - 1/2 |J step|^2
+    double model_decrease = 0;  // -gradient . step - 1/2 |J step|^2, priors included
     double step_norm = 0;
     double factorization_seconds = 0;  // on the host
 };
 
-// Solves (J^T J + lambda D^2) step = -gradient for the current normal equations, and leaves the
+// Solves (H + lambda D^2) step = -gradient for the current normal equations, and leaves the
 // state moved by the step in the problem's `trial`.
 class LinearSolver {
 public:

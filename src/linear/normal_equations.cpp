@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "base/error.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 
@@ -95,7 +96,10 @@ double NormalEquations::gradient_max_norm() {
 
 const Buffer& NormalEquations::u() {
     if (!u_) u_ = Buffer(queue_, problem_.matrices_bytes(), "image blocks");
-    if (!has_u_) jacobian.image_blocks(u_);
+    if (!has_u_) {
+        jacobian.image_blocks(u_);
+        if (problem_.priors()) problem_.priors()->add_image_blocks(u_);
+    }
     has_u_ = true;
     return u_;
 }
@@ -137,6 +141,7 @@ int64_t NormalEquations::factor_image_blocks(double lambda) {
 
 int64_t NormalEquations::factor_schur_blocks(double lambda) {
     jacobian.schur_blocks(point_factors_, image_factors_);
+    if (problem_.priors()) problem_.priors()->add_image_blocks(image_factors_);
     return factor_images(lambda);
 }
 

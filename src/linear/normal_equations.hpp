@@ -16,7 +16,8 @@ struct DampingOptions {
     double max_diagonal = 1e32;
 };
 
-// (J^T J + lambda D^2) delta = -gradient at the current state. The evaluator fills what is public.
+// (H + lambda D^2) delta = -gradient at the current state, with H = J^T J and what priors add to it
+// (prior_terms.hpp): to U as P, to V in its roots. The evaluator fills what is public.
 class NormalEquations {
 public:
     NormalEquations(DeviceProblem& problem, const DampingOptions& damping, JacobianForm form,
@@ -29,7 +30,7 @@ public:
     // The same as WIDEs: filled by linearisations after keep_wide_gradient().
     std::vector<Buffer> wide_point_gradient;
     void keep_wide_gradient();
-    Vector diagonal;                  // of J_F^T J_F
+    Vector diagonal;                  // of U
     std::vector<Buffer> point_roots;  // L of V = L L^T: 6 rows of REAL a chunk
     Buffer tile_max;                  // of |point_gradient|, tile by tile of all chunks
 
@@ -37,7 +38,7 @@ public:
     void update_damping();
 
     double gradient_max_norm();
-    const Buffer& u();                             // diagonal blocks of J_F^T J_F, packed
+    const Buffer& u();                             // diagonal blocks, packed
     const Vector& damping() const { return d2_; }  // D^2 of the F side
     // F and E together.
     void get_gradient(Vector& full);

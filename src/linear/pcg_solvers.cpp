@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/pcg_solvers.hpp"
 
+#include "linear/prior_terms.hpp"
 #include "linear/reduced_system.hpp"
 
 namespace clba {
@@ -50,6 +51,10 @@ void PcgHessian::get_step(Vector& full) {
 void PcgHessian::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.multiply(p);
     equations_.jacobian.add_transposed(q);
+    if (PriorTerms* priors = equations_.problem().priors()) {
+        priors->add_image_product(p.f, q.f);
+        priors->add_point_product(p.e, q.e);
+    }
 }
 
 void PcgHessian::precondition(const Vector& r, Vector& z) {
@@ -91,6 +96,7 @@ void PcgSchur::get_step(Vector& full) {
 
 void PcgSchur::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.add_schur_product(p, equations_.point_factors(), q);
+    if (PriorTerms* priors = equations_.problem().priors()) priors->add_image_product(p.f, q.f);
 }
 
 void PcgSchur::precondition(const Vector& r, Vector& z) {

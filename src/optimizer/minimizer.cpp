@@ -45,6 +45,7 @@ public:
 
     void finish() {
         summary_.final_cost = current_.cost;
+        summary_.final_prior_cost = current_.prior_cost;
         summary_.num_behind_final = current_.num_behind;
         summary_.num_singular = current_.num_singular;
         summary_.step_seconds = device_.queue().step_seconds();
@@ -65,6 +66,7 @@ private:
         summary_.evaluate_seconds += lap();
         current_ = initial;
         summary_.initial_cost = initial.cost;
+        summary_.initial_prior_cost = initial.prior_cost;
         summary_.num_behind_initial = initial.num_behind;
         row_.step_is_accepted = row_.step_is_valid = true;
         if (!std::isfinite(initial.cost)) {

@@ -6,6 +6,7 @@
 #include "base/error.hpp"
 #include "base/stopwatch.hpp"
 #include "reference/bundle.hpp"
+#include "reference/priors.hpp"
 
 namespace clba {
 namespace {
@@ -44,18 +45,22 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     summary.jacobian = options.jacobian;
     summary.precision = precision;
     summary.device = context->device().name;
-    if (problem.observations.empty() || !has_free_parameters(problem, ParameterLayout(problem))) {
+    const ParameterLayout layout(problem);
+    summary.gauge = reference::gauge_of(problem, layout);
+    if (problem.observations.empty() || !has_free_parameters(problem, layout)) {
         summary.termination = Termination::convergence;
         summary.reason = Reason::nothing_to_do;
         summary.message = problem.observations.empty() ? "There are no observations."
                                                        : "Every parameter is constant.";
         const reference::Cost cost = reference::residual(problem, nullptr);
-        summary.initial_cost = summary.final_cost = summary.reference_final_cost = cost.cost;
+        summary.initial_prior_cost = summary.final_prior_cost = reference::prior_cost(problem);
+        summary.initial_cost = summary.final_cost = summary.reference_final_cost =
+            cost.cost + summary.initial_prior_cost;
         summary.num_behind_initial = summary.num_behind_final = cost.num_behind;
         summary.num_singular = cost.num_singular;
         IterationRow row;
         row.step_is_accepted = row.step_is_valid = true;
-        row.cost = cost.cost;
+        row.cost = summary.final_cost;
         row.num_behind = cost.num_behind;
         summary.rows.push_back(row);
         summary.total_seconds = watch.seconds();
@@ -69,7 +74,8 @@ Summary solve(Problem& problem, const std::shared_ptr<Context>& context,
     Stopwatch finish;
     mirrored.download_state(problem);
     summary.setup_seconds += finish.lap();
-    summary.reference_final_cost = reference::residual(problem, nullptr).cost;
+    summary.reference_final_cost =
+        reference::residual(problem, nullptr).cost + reference::prior_cost(problem);
     summary.reference_seconds = finish.lap();
     summary.peak_device_bytes = mirrored.queue().memory().peak_bytes;
     summary.total_seconds = watch.seconds();

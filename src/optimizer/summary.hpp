@@ -7,6 +7,7 @@
 
 #include "device/queue.hpp"
 #include "linear/linear_solver.hpp"
+#include "reference/gauge.hpp"
 
 namespace clba {
 
@@ -59,6 +60,8 @@ struct Summary {
     int64_t num_behind_initial = 0, num_behind_final = 0, num_singular = 0;
     int64_t num_indefinite_blocks = 0;
     double initial_cost = 0, final_cost = 0, reference_final_cost = 0;
+    double initial_prior_cost = 0, final_prior_cost = 0;  // of the costs
+    reference::GaugeState gauge;
     double total_seconds = 0, build_seconds = 0, setup_seconds = 0, linearize_seconds = 0;
     double factorization_seconds = 0;
     double linear_solver_seconds = 0, evaluate_seconds = 0, reference_seconds = 0;

@@ -140,6 +140,7 @@ def enumeration(prefix: str) -> dict[str, int]:
         ("DAMPING", _names.DAMPINGS, _names.Damping),
         ("PRECISION", _names.PRECISIONS, _names.Precision),
         ("JACOBIAN", _names.JACOBIANS, _names.JacobianForm),
+        ("GAUGE", _names.GAUGES, None),
         ("SCENE", _names.SCENES, _names.Scene),
         ("DEVICE", _names.DEVICE_TYPES, None),
         ("REASON", _names.REASONS, None),

@@ -193,6 +193,10 @@ class Summary(Structure):
         ("factorization_seconds", c_double),
         ("host_seconds", c_double),
         ("choice", c_char * 256),
+        ("gauge", c_int32),
+        ("num_gauge_freedoms", c_int32),
+        ("initial_prior_cost", c_double),
+        ("final_prior_cost", c_double),
     ]
 
 
@@ -270,6 +274,7 @@ _result = POINTER(ResultHandle)
 _int32s = POINTER(c_int32)
 _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
+_priors = [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t, _doubles, c_size_t]
 
 # Function: type of the result, types of the arguments.
 PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
@@ -328,11 +333,17 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "clba_problem_set_point_uncertainties": (_status, [_problem, c_int32, _doubles, c_size_t]),
     "clba_loss_name": (c_char_p, [c_int32]),
     "clba_problem_set_loss": (_status, [_problem, c_int32, c_double]),
+    "clba_problem_set_position_priors": (_status, _priors),
+    "clba_problem_set_pose_priors": (_status, _priors),
+    "clba_problem_set_intrinsics_priors": (_status, _priors),
+    "clba_problem_set_point_priors": (_status, _priors),
+    "clba_problem_set_relative_pose_priors": (_status, _priors),
     "clba_linear_solver_name": (c_char_p, [c_int32]),
     "clba_preconditioner_name": (c_char_p, [c_int32]),
     "clba_damping_name": (c_char_p, [c_int32]),
     "clba_precision_name": (c_char_p, [c_int32]),
     "clba_jacobian_name": (c_char_p, [c_int32]),
+    "clba_gauge_name": (c_char_p, [c_int32]),
     "clba_solver_options_init": (_status, [POINTER(SolverOptions), c_size_t]),
     "clba_problem_solve": (
         _status,

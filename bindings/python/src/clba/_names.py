@@ -33,6 +33,7 @@ PRECONDITIONERS = _named(lib.clba_preconditioner_name)
 DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
+GAUGES = _named(lib.clba_gauge_name)
 SCENES = _named(lib.clba_scene_name)
 
 DEVICE_TYPES = {"cpu": 1, "gpu": 2, "accelerator": 3, "other": 4}

@@ -567,6 +567,196 @@ class Problem:
                     values=name,
                 )
 
+    # ---- Priors --------------------------------------------------------------------------------
+
+    def set_position_priors(
+        self,
+        images: npt.ArrayLike | None,
+        positions: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of camera centres, as by GPS, in world units; replaces what was set before.
+
+        Priors add 1/2 |L^-1 (h(x) - target)|^2 to the cost, with L L^T the covariance.
+
+        Args:
+            images: (n,) indices of images, each at most once; None: no priors.
+            positions: (n, 3).
+            covariances: (n, 3, 3), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_position_priors,
+            ("images", images, 1),
+            ("positions", positions, 3),
+            (covariances, sigmas, 3),
+        )
+
+    def set_pose_priors(
+        self,
+        images: npt.ArrayLike | None,
+        poses: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of whole poses; replaces what was set before.
+
+        The residual is log(R R0^T), a rotation vector in rad, then the camera's centre less that of
+        the target in world units; covariances are in this order.
+
+        Args:
+            images: (n,) indices of images, each at most once; None: no priors.
+            poses: (n, 7), as in ``poses``.
+            covariances: (n, 6, 6), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 6), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_pose_priors,
+            ("images", images, 1),
+            ("poses", poses, 7),
+            (covariances, sigmas, 6),
+        )
+
+    def set_point_priors(
+        self,
+        points: npt.ArrayLike | None,
+        positions: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of points, as of ground control, in world units; replaces what was set.
+
+        Args:
+            points: (n,) indices of points, each at most once; None: no priors.
+            positions: (n, 3).
+            covariances: (n, 3, 3), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_point_priors,
+            ("points", points, 1),
+            ("positions", positions, 3),
+            (covariances, sigmas, 3),
+        )
+
+    def set_relative_pose_priors(
+        self,
+        pairs: npt.ArrayLike | None,
+        poses: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of one camera's pose from another, as by odometry; replaces what was set.
+
+        With (R, t) the pose of the second camera from the first and (M, m) the target, the residual
+        is log(M^T R), a rotation vector in rad, then M^T (t - m) in world units; covariances are in
+        this order.
+
+        Args:
+            pairs: (n, 2) indices of first and second image; a pair may have several; None: none.
+            poses: (n, 7), second camera from first camera, qw qx qy qz tx ty tz.
+            covariances: (n, 6, 6), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 6), or what numpy can broadcast
+                to it.
+        """
+        if pairs is not None and np.shape(pairs)[1:] != (2,):
+            raise ValueError(f"pairs has shape {np.shape(pairs)}, but it must be (any, 2)")
+        self._set_priors(
+            lib.clba_problem_set_relative_pose_priors,
+            ("pairs.flat", None if pairs is None else np.ravel(pairs), 2),
+            ("poses", poses, 7),
+            (covariances, sigmas, 6),
+        )
+
+    def set_intrinsics_priors(
+        self,
+        cameras: npt.ArrayLike | None,
+        params: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of intrinsics, as by a calibration; replaces what was set before.
+
+        Args:
+            cameras: (n,) indices of cameras, each at most once; None: no priors.
+            params: (n, k), as in ``camera_params``.
+            covariances: (n, k, k), or one for all. An infinite variance, with 0 in the rest of its
+                row and column, leaves a parameter without a prior.
+            sigmas: instead of covariances, standard deviations: (n, k), or what numpy can broadcast
+                to it; infinite for parameters without a prior.
+        """
+        with self._use() as handle:
+            function = lib.clba_problem_set_intrinsics_priors
+            if cameras is None:
+                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
+                return
+            models = _models(handle)
+            most = _params(handle).shape[1]
+            chosen = _arrays.indices(cameras, None, len(models), "cameras", "cameras")
+            targets = _arrays.doubles(_required(params, "params"), (len(chosen), most), "params")
+            rows = _covariances(covariances, sigmas, len(chosen), most)
+            # Rows of the library are n x n numbers for cameras of n parameters.
+            packed = np.zeros((len(chosen), most * most))
+            for i, camera in enumerate(chosen):
+                n = lib.clba_camera_model_num_params(models[camera])
+                packed[i, : n * n] = rows[i, :n, :n].ravel()
+            check(
+                function(
+                    handle,
+                    len(chosen),
+                    pointer(chosen, c_int32),
+                    stride(chosen),
+                    pointer(targets, c_double),
+                    stride(targets),
+                    pointer(packed, c_double),
+                    stride(packed),
+                )
+            )
+
+    def _set_priors(
+        self,
+        function: Any,
+        subjects: tuple[str, npt.ArrayLike | None, int],
+        targets: tuple[str, npt.ArrayLike | None, int],
+        uncertainty: tuple[npt.ArrayLike | None, npt.ArrayLike | None, int],
+    ) -> None:
+        """subjects: their name, indices, and how many of these a row has; targets likewise;
+        uncertainty: covariances or sigmas, and their dimension."""
+        name, given, per_row = subjects
+        target_name, target, width = targets
+        covariances, sigmas, n = uncertainty
+        with self._use() as handle:
+            if given is None:
+                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
+                return
+            kind = "points" if name == "points" else "images"
+            limit = getattr(_info(handle), f"num_{kind}")
+            indices = np.ascontiguousarray(_arrays.indices(given, None, limit, name, kind))
+            count = len(indices) // per_row
+            rows = _arrays.doubles(_required(target, target_name), (count, width), target_name)
+            matrices = _covariances(covariances, sigmas, count, n)
+            check(
+                function(
+                    handle,
+                    count,
+                    pointer(indices, c_int32),
+                    0,
+                    pointer(rows, c_double),
+                    stride(rows),
+                    pointer(matrices, c_double),
+                    0,
+                )
+            )
+
     # ---- Evaluating ----------------------------------------------------------------------------
 
     def evaluate(
@@ -582,7 +772,8 @@ class Problem:
         """Cost, residuals, gradient and Jacobian at the current state, computed on the device.
 
         Residuals and Jacobian are whitened by the covariances and multiplied by sqrt(rho'), so that
-        gradient = J^T r.
+        gradient = J^T r, to which priors add: cost and gradient include them, residuals and
+        Jacobian are those of observations alone.
 
         Args:
             residuals, gradient, jacobian: what to compute besides the cost.
@@ -741,6 +932,29 @@ class Problem:
     def _info(self) -> _ffi.ProblemInfo:
         with self._use() as handle:
             return _info(handle)
+
+
+def _required(values: npt.ArrayLike | None, name: str) -> npt.ArrayLike:
+    if values is None:
+        raise TypeError(f"{name} is None, but priors need it")
+    return values
+
+
+def _covariances(
+    covariances: npt.ArrayLike | None, sigmas: npt.ArrayLike | None, count: int, n: int
+) -> Doubles:
+    """(count, n, n), without gaps, from either of the two."""
+    if (covariances is None) == (sigmas is None):
+        raise TypeError("priors need either covariances or sigmas")
+    if covariances is not None:
+        return np.ascontiguousarray(_arrays.broadcast(covariances, (count, n, n), "covariances"))
+    deviations = _arrays.broadcast(np.asarray(sigmas), (count, n), "sigmas")
+    if not np.all(deviations > 0):
+        row, column = np.argwhere(~(deviations > 0))[0]
+        raise ValueError(f"sigmas[{row}][{column}] = {deviations[row, column]}, but it must be > 0")
+    rows = np.zeros((count, n, n))
+    rows[:, np.arange(n), np.arange(n)] = deviations**2
+    return rows
 
 
 def _info(handle: Any) -> _ffi.ProblemInfo:

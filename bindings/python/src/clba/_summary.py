@@ -22,7 +22,8 @@ class Iteration:
         step_is_accepted: the cost fell and the step was taken.
         step_is_valid: False if the linear solver failed or the cost was not finite.
         num_behind: observations of points behind their camera.
-        cost: of the state kept, 1/2 sum rho(|r|^2), in squared pixels (or sigmas).
+        cost: of the state kept, 1/2 sum rho(|r|^2), in squared pixels (or sigmas), and that of
+            priors.
         cost_change: cost before the step minus cost after it; > 0 is a decrease.
         step_norm: Euclidean, over all free parameters.
         gain_ratio: cost_change divided by the decrease that the linearised model predicts.
@@ -87,7 +88,10 @@ class Summary:
         num_iterations: rows of ``iterations``, less the start.
         num_singular: observations in the camera's own plane at the end: these keep a constant
             residual and no derivative.
-        initial_cost, final_cost: 1/2 sum rho(|r|^2), in squared pixels (or sigmas).
+        initial_cost, final_cost: 1/2 sum rho(|r|^2), in squared pixels (or sigmas), and what priors
+            add: initial_prior_cost, final_prior_cost.
+        gauge: "free", "fixed_by_constants" or "fixed_by_priors": what holds the world's rotation,
+            translation and scale, of whose 7 freedoms num_gauge_freedoms are left.
         reference_final_cost: the same state, by the serial fp64 reference on the host.
         total_seconds: wall time; build (compiling or loading kernels), setup, linearize,
             linear_solver, evaluate, reference and other add up to it.
@@ -123,6 +127,10 @@ class Summary:
     initial_cost: float
     final_cost: float
     reference_final_cost: float
+    initial_prior_cost: float
+    final_prior_cost: float
+    gauge: str
+    num_gauge_freedoms: int
     total_seconds: float
     build_seconds: float
     setup_seconds: float
@@ -182,6 +190,7 @@ def summary(result: Any) -> Summary:
         ("given_linear_solver", _names.LINEAR_SOLVERS),
         ("given_preconditioner", _names.PRECONDITIONERS),
         ("given_precision", _names.PRECISIONS),
+        ("gauge", _names.GAUGES),
     ):
         values[name] = _names.name_of(names, values[name])
     # 0 is the default when asked for, and none when used.
