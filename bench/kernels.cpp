@@ -3,7 +3,10 @@
 // generated scene of about a million observations or on a BAL file:
 //   bench/kernels [--benchmark_filter=...] [--benchmark_repetitions=5]
 // CLBA_BENCH_SCENE: hall (default), street, landmark or the path of a BAL file;
-// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has.
+// CLBA_BENCH_OBSERVATIONS: about how many a generated scene has;
+// CLBA_BENCH_CAMERA: a camera model that all cameras get instead of snavely;
+// CLBA_BENCH_PRIORS=1: every image has a prior of its position, and prior_product is what they add
+// to an iteration of conjugate gradients.
 #include <benchmark/benchmark.h>
 
 #include <chrono>
@@ -22,6 +25,7 @@
 #include "linear/device_problem.hpp"
 #include "linear/explicit_schur.hpp"
 #include "linear/normal_equations.hpp"
+#include "linear/prior_terms.hpp"
 #include "optimizer/evaluator.hpp"
 #include "reference/scene.hpp"
 
@@ -34,7 +38,7 @@ std::string environment(const char* name, const char* otherwise) {
     return value && *value ? value : otherwise;
 }
 
-Problem bench_scene() {
+Problem generated_or_read() {
     SceneOptions options;
     const std::string scene = environment("CLBA_BENCH_SCENE", "hall");
     if (scene != "hall" && scene != "street" && scene != "landmark") return read_bal(scene);
@@ -46,6 +50,38 @@ Problem bench_scene() {
     options.observations_per_image = static_cast<int32_t>(observations / options.num_images);
     options.seed = 1;
     return generate_scene(options).start;
+}
+
+// The scene through cameras of another model, which look along +z: y and z of their axes turn over.
+void set_camera_model(const std::string& name, Problem& problem) {
+    int32_t model = 0;
+    while (model < num_camera_models && name != camera_models[model].name) ++model;
+    if (model == num_camera_models)
+        fail(Status::invalid_argument, "CLBA_BENCH_CAMERA=", name, " is no camera model");
+    if (model == camera_snavely) return;
+    for (Camera& camera : problem.cameras) {
+        const double focal_length = camera.params[0];
+        camera = Camera();
+        camera.model = model;
+        camera.params[0] = focal_length;
+        if (camera_models[model].param_names[1] == 'x') camera.params[1] = focal_length;
+        if (model == camera_fov) camera.params[4] = 0.5;
+    }
+    for (Image& image : problem.images) {
+        image.pose.rotation = quaternion_product({0, 1, 0, 0}, image.pose.rotation);
+        for (int k : {1, 2}) image.pose.translation[k] = -image.pose.translation[k];
+    }
+    for (Observation& observation : problem.observations) observation.y = -observation.y;
+    problem.validate();
+}
+
+Problem bench_scene() {
+    Problem scene = generated_or_read();
+    if (environment("CLBA_BENCH_PRIORS", "0") != "1") return scene;
+    for (int32_t i = 0; i < scene.num_images(); ++i)
+        scene.priors.positions.push_back(
+            {i, camera_center(scene.images[i].pose), {20, 0, 0, 2, 20, 0, 1, 3, 10}});
+    return scene;
 }
 
 // Everything that the kernels work on, at the scene's start.
@@ -115,7 +151,8 @@ int main(int argc, char** argv) {
         options.device = environment("CLBA_DEVICE", "");
         options.cache_folder = ProgramCache::default_folder();
         const auto context = std::make_shared<Context>(options);
-        const Problem scene = bench_scene();
+        Problem scene = bench_scene();
+        set_camera_model(environment("CLBA_BENCH_CAMERA", "snavely"), scene);
         std::printf("device %s; %d images, %d points, %lld observations\n",
                     context->device().name.c_str(), scene.num_images(), scene.num_points(),
                     static_cast<long long>(scene.num_observations()));
@@ -134,6 +171,11 @@ int main(int argc, char** argv) {
              [](Rig& rig) {
                  rig.equations.jacobian.add_schur_product(rig.x, rig.equations.point_factors(),
                                                           rig.y);
+             }},
+            {"prior_product",
+             [](Rig& rig) {
+                 if (PriorTerms* priors = rig.device.priors())
+                     priors->add_image_product(rig.x.f, rig.y.f);
              }},
             {"image_blocks",
              [](Rig& rig) { rig.equations.jacobian.image_blocks(rig.schur_blocks); }},

@@ -116,7 +116,7 @@ Solve make_solver(const std::string& name, const Problem& problem, const Paramet
         const auto schur = std::make_shared<reference::DirectSchur>(problem, layout);
         return [schur](const reference::Jacobian& j, const std::vector<double>& gradient,
                        const std::vector<double>& damping, std::vector<double>& step) {
-            return schur->solve(j, gradient.data(), damping.data(), step.data());
+            return schur->solve(j, gradient.data(), damping.data(), {}, step.data());
         };
     }
     require(name == "normal", "the solver is ", name, ", but it must be normal or schur");

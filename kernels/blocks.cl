@@ -5,7 +5,8 @@
 #include "jacobian.clh"
 
 #define TRIANGLE (COLUMNS * (COLUMNS + 1) / 2)
-#define PIECE 128  // slots whose rows are held at a time
+// Slots whose rows are held at a time: of doubles too they fit 32 KiB, which every device has.
+#define PIECE (COLUMNS > 14 ? 64 : 128)
 #define PART 3
 
 // Sums of J_F^T M J_F over each run: TRIANGLE numbers a run, the lower triangle row by row. M = I

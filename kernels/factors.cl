@@ -148,6 +148,8 @@ KERNEL void factor_image_blocks(WIDE lambda, int num_blocks,
 
 // G of V + lambda D^2 of each point: 6 rows of REAL, g00, g10, g11, g20, g21, g22. fixed_d2 is D^2 where
 // DAMPING is 2. Spare slots: G is finite or 0, and unused.
+// With LEAST_PIVOT_SHARE, and not without doubles: coordinates of which elimination leaves no more than
+// that share have a row of 0 in G, and do not count as failures.
 // Writers: one point each; failures: one count a work-item.
 KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int num_point_slots,
                                 global const REAL* restrict roots,
@@ -193,15 +195,31 @@ KERNEL void factor_point_blocks(WIDE smallest, WIDE largest, WIDE lambda, int nu
         const WIDE a21 = free1 && free2 ? v[4] : (WIDE)0;
         const WIDE a22 = free2 ? v[5] + lambda * d2[2] : (WIDE)1;
         // A = L D L^T with a unit lower triangle L; G = D^-1/2 L^-1.
+#ifdef LEAST_PIVOT_SHARE
+        const bool has0 = a00 > 0;
+        const WIDE inverse0 = has0 ? 1 / a00 : (WIDE)0;
+        const WIDE l10 = a10 * inverse0, l20 = a20 * inverse0;
+        const WIDE left1 = a11 - l10 * a10;
+        const bool has1 = left1 > (WIDE)LEAST_PIVOT_SHARE * a11;
+        const WIDE l21 = has1 ? (a21 - l20 * a10) / left1 : (WIDE)0;
+        const WIDE left2 = a22 - l20 * a20 - l21 * l21 * left1;
+        const bool has2 = left2 > (WIDE)LEAST_PIVOT_SHARE * a22;
+        // 1 / sqrt(infinity) = 0.
+        const WIDE p0 = has0 ? a00 : (WIDE)INFINITY, p1 = has1 ? left1 : (WIDE)INFINITY;
+        const WIDE p2 = has2 ? left2 : (WIDE)INFINITY;
+        const bool is_definite = a00 + a11 + a22 < INFINITY;
+#else
         const WIDE inverse0 = 1 / a00;
         const WIDE l10 = a10 * inverse0, l20 = a20 * inverse0;
+        const WIDE p0 = a00;
         const WIDE p1 = a11 - l10 * a10;
         const WIDE l21 = (a21 - l20 * a10) / p1;
         const WIDE p2 = a22 - l20 * a20 - l21 * l21 * p1;
-        const REAL g00 = 1 / sqrt((REAL)a00), g11 = 1 / sqrt((REAL)p1), g22 = 1 / sqrt((REAL)p2);
+        const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
+#endif
+        const REAL g00 = 1 / sqrt((REAL)p0), g11 = 1 / sqrt((REAL)p1), g22 = 1 / sqrt((REAL)p2);
         const REAL g10 = -(REAL)l10 * g11, g21 = -(REAL)l21 * g22;
         const REAL g20 = (REAL)(l21 * l10 - l20) * g22;
-        const bool is_definite = a00 > 0 && p1 > 0 && p2 > 0 && a00 + p1 + p2 < INFINITY;
 #endif
         failed += is_definite ? (WIDE)0 : (WIDE)1;
         factors[i] = is_definite && free0 ? g00 : (REAL)0;

@@ -11,6 +11,13 @@
 #include "jacobian_layout.clh"
 #include "point_root.clh"
 
+#ifndef POINT_PRIORS
+#define POINT_PRIORS 0  // 1: points have priors
+#endif
+#if POINT_PRIORS
+#include "point_priors.clh"
+#endif
+
 #define ZERO 1    // of the sums of a tile
 #define RUNS 2    // sums over its runs
 #define FINISH 4  // what is made of them; several segments share one FINISH
@@ -30,6 +37,43 @@ static inline void cholesky_root(const WIDE* v, WIDE* l) {
     l[5] = sqrt(fmax(v[5] - l[3] * l[3] - l[4] * l[4], (WIDE)0));
 }
 
+#if POINT_PRIORS
+// Adds V and J^T r of the priors of a tile's points to their sums.
+static inline void add_point_priors(int num_points, int m, global const int* prior_of_slot,
+                                    global const WIDE* values, global const WIDE* of_tile,
+                                    int num_point_slots, int point_capacity, global WIDE* sums) {
+    LANES(i, 0, num_points) {
+        const int k = prior_of_slot[i];
+        const prior_root_t w = load_prior_root(values, m, k);
+        WIDE r0, r1, r2, g0, g1, g2;
+        prior_times(&w, prior_offset(values, m, k, of_tile, num_point_slots, i, 0),
+                    prior_offset(values, m, k, of_tile, num_point_slots, i, 1),
+                    prior_offset(values, m, k, of_tile, num_point_slots, i, 2), &r0, &r1, &r2);
+        prior_transposed(&w, r0, r1, r2, &g0, &g1, &g2);
+        WIDE v[6];
+#pragma unroll
+        for (int row = 0; row < 6; ++row) v[row] = sums[row * point_capacity + i];
+#ifdef NO_DOUBLE
+        add_row_to_root(v, w.w00, 0, 0);
+        add_row_to_root(v, w.w10, w.w11, 0);
+        add_row_to_root(v, w.w20, w.w21, w.w22);
+#else
+        v[0] += w.w00 * w.w00 + w.w10 * w.w10 + w.w20 * w.w20;
+        v[1] += w.w11 * w.w10 + w.w21 * w.w20;
+        v[2] += w.w11 * w.w11 + w.w21 * w.w21;
+        v[3] += w.w22 * w.w20;
+        v[4] += w.w22 * w.w21;
+        v[5] += w.w22 * w.w22;
+#endif
+#pragma unroll
+        for (int row = 0; row < 6; ++row) sums[row * point_capacity + i] = v[row];
+        sums[6 * point_capacity + i] += g0;
+        sums[7 * point_capacity + i] += g1;
+        sums[8 * point_capacity + i] += g2;
+    }
+}
+#endif
+
 // Groups share the tiles out among themselves: group g has tiles g, g + groups, ...
 // Writers: the group of a tile alone writes the rows and sums of its runs, and what belongs to its
 // points; point_sums holds POINT_SUMS rows of point_capacity a group.
@@ -46,6 +90,9 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                       global REAL* restrict point_roots,     // L of V = L L^T: 6 rows, like V
                       global REAL* restrict point_gradient,  // 3 rows
                       global WIDE* restrict wide_gradient,   // the same unrounded, or NULL
+                      int num_priors,
+                      global const int* restrict prior_of_slot,  // num_priors: none; or NULL
+                      global const WIDE* restrict priors,        // point_priors.clh
                       int first_tile,
                       global WIDE* restrict tile_max,  // of |point_gradient|; inf for NaN
                       local WIDE* scratch) {
@@ -202,6 +249,12 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
         }
         LANES_MEET();
         WIDE largest = 0;
+#if POINT_PRIORS
+        // Lane i alone goes on with point i: they need not meet.
+        if (stages & FINISH)
+            add_point_priors(num_points, num_priors, prior_of_slot + tile_points[tile], priors,
+                             of_tile, num_point_slots, point_capacity, sums);
+#endif
         if (stages & FINISH) {
             global REAL* roots = point_roots + tile_points[tile];
             global REAL* gradient = point_gradient + tile_points[tile];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sums over pairs of observations, from their records: each lane has blocks of
-// its own, whose rows are vectors of 16 columns.
+// its own, whose rows are vectors of 16 columns, and of 4 more where any block has more than 16.
 #include "lanes.clh"
 #include "schur_records.clh"
 
@@ -8,6 +8,11 @@
 #define JOIN(a, b) JOIN_AGAIN(a, b)
 typedef JOIN(WIDE, 16) wide16;
 #define CONVERT_WIDE16 JOIN(convert_, JOIN(WIDE, 16))
+#define MORE_COLUMNS (MAX_COLUMNS > 16)
+#if MORE_COLUMNS
+typedef JOIN(WIDE, 4) wide4;
+#define CONVERT_WIDE4 JOIN(convert_, JOIN(WIDE, 4))
+#endif
 #define BLOCKS_PER_GROUP 16
 
 // Records lie where the tiles put them: their addresses are known long before they are needed.
@@ -28,6 +33,11 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict blocks,
         wide16 sum[MAX_COLUMNS];
 #pragma unroll
         for (int k = 0; k < MAX_COLUMNS; ++k) sum[k] = 0;
+#if MORE_COLUMNS
+        wide4 more[MAX_COLUMNS];
+#pragma unroll
+        for (int k = 0; k < MAX_COLUMNS; ++k) more[k] = 0;
+#endif
         const long pairs_end = block_pairs[entry + 1];
         for (long pair = block_pairs[entry]; pair < pairs_end; ++pair) {
             const int a = pairs[pair].x, b = pairs[pair].y;
@@ -55,14 +65,28 @@ KERNEL void schur_pairs(int num_blocks, global const int* restrict blocks,
                 sum[k] += (WIDE)f[k] * v0;
                 sum[k] += (WIDE)f[MAX_COLUMNS + k] * v1;
             }
+#if MORE_COLUMNS
+            const wide4 more_j0 = CONVERT_WIDE4(vload4(0, f_b + 16));
+            const wide4 more_j1 = CONVERT_WIDE4(vload4(0, f_b + MAX_COLUMNS + 16));
+            const wide4 more_v0 = m00 * more_j0 + m01 * more_j1;
+            const wide4 more_v1 = m10 * more_j0 + m11 * more_j1;
+#pragma unroll
+            for (int k = 0; k < MAX_COLUMNS; ++k) {
+                more[k] += (WIDE)f[k] * more_v0;
+                more[k] += (WIDE)f[MAX_COLUMNS + k] * more_v1;
+            }
+#endif
         }
         const int block = blocks[entry];
         global WIDE* out = values + block_offset[block];
         const int columns = block_columns[block];
 #pragma unroll
         for (int k = 0; k < MAX_COLUMNS; ++k) {
-            WIDE row[16];
+            WIDE row[MORE_COLUMNS ? 20 : 16];
             vstore16(sum[k], 0, row);
+#if MORE_COLUMNS
+            vstore4(more[k], 4, row);
+#endif
             if (k < block_rows[block])
                 for (int c = 0; c < columns; ++c) out[k * columns + c] += row[c];
         }

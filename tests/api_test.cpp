@@ -67,12 +67,23 @@ TEST(Names, OfEveryValueAndNoOther) {
 
 TEST(CameraModels, AreThoseOfTheHeader) {
     const std::pair<const char*, const char*> models[] = {
-        {"snavely", "f,k1,k2"},      {"simple_pinhole", "f,cx,cy"},
-        {"pinhole", "fx,fy,cx,cy"},  {"simple_radial", "f,cx,cy,k"},
-        {"radial", "f,cx,cy,k1,k2"}, {"opencv", "fx,fy,cx,cy,k1,k2,p1,p2"},
+        {"snavely", "f,k1,k2"},
+        {"simple_pinhole", "f,cx,cy"},
+        {"pinhole", "fx,fy,cx,cy"},
+        {"simple_radial", "f,cx,cy,k"},
+        {"radial", "f,cx,cy,k1,k2"},
+        {"opencv", "fx,fy,cx,cy,k1,k2,p1,p2"},
+        {"opencv_fisheye", "fx,fy,cx,cy,k1,k2,k3,k4"},
+        {"full_opencv", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,k5,k6"},
+        {"fov", "fx,fy,cx,cy,omega"},
+        {"simple_radial_fisheye", "f,cx,cy,k"},
+        {"radial_fisheye", "f,cx,cy,k1,k2"},
+        {"thin_prism_fisheye", "fx,fy,cx,cy,k1,k2,p1,p2,k3,k4,sx1,sy1"},
+        {"brown", "f,cx,cy,k1,k2,k3,p1,p2"},
     };
-    ASSERT_EQ(clba_num_camera_models(), 6);
-    for (int32_t model = 0; model < 6; ++model) {
+    ASSERT_EQ(clba_num_camera_models(), 13);
+    EXPECT_EQ(CLBA_CAMERA_THIN_PRISM_FISHEYE, 11);
+    for (int32_t model = 0; model < 13; ++model) {
         const std::string names = models[model].second;
         EXPECT_STREQ(clba_camera_model_name(model), models[model].first);
         EXPECT_EQ(clba_camera_model_param_names(model), names);
@@ -80,7 +91,7 @@ TEST(CameraModels, AreThoseOfTheHeader) {
                   1 + std::count(names.begin(), names.end(), ','));
     }
     EXPECT_EQ(clba_camera_model_num_params(-1), -1);
-    EXPECT_EQ(clba_camera_model_num_params(6), -1);
+    EXPECT_EQ(clba_camera_model_num_params(13), -1);
 }
 
 TEST(Devices, AreListed) {
@@ -514,11 +525,11 @@ TEST_F(Setters, NameTheRowThatIsWrong) {
         EXPECT_TRUE(refused(clba_problem_apply_step(p, with(step, 11, bad).data()),
                             {"step[11]", "finite"}));
     }
-    for (int32_t bad : {-1, 6, 1000})
+    for (int32_t bad : {-1, clba_num_camera_models(), 1000})
         EXPECT_TRUE(refused(
             clba_problem_set_cameras(p, data.num_cameras(), with(data.models, 3, bad).data(), 0,
                                      data.params.data(), 0),
-            {"models[3]", "0 to 5"}));
+            {"models[3]", "0 to 12"}));
     for (int32_t bad : {-1, data.num_cameras()})
         EXPECT_TRUE(
             refused(clba_problem_set_images(p, data.num_images(), with(data.cameras, 3, bad).data(),
@@ -733,6 +744,106 @@ TEST_F(Files, Errors) {
     EXPECT_TRUE(refused(clba_problem_write_bal(other.get(), path("out").c_str()), {"snavely"}));
     EXPECT_FALSE(std::filesystem::exists(path("out")));
     EXPECT_OK(clba_problem_write_ply(other.get(), path("out").c_str()));
+}
+
+TEST_F(Files, AnyFormat) {
+    const Scene scene = generate();
+    const clba_problem* start = scene.start.get();
+    EXPECT_EQ(clba_problem_get_format(start), CLBA_FORMAT_AUTO);
+    EXPECT_STREQ(clba_problem_notices(start), "");
+    EXPECT_STREQ(clba_problem_get_image_name(start, 0), "");
+    EXPECT_STREQ(clba_format_name(CLBA_FORMAT_AUTO), "auto");
+    EXPECT_STREQ(clba_format_name(CLBA_FORMAT_COLMAP_TEXT), "colmap_text");
+    EXPECT_EQ(clba_format_name(-1), nullptr);
+    EXPECT_EQ(clba_format_name(CLBA_FORMAT_PLY + 1), nullptr);
+
+    clba_write_options write;
+    ASSERT_OK(clba_write_options_init(&write, sizeof write));
+    write.format = CLBA_FORMAT_COLMAP_BINARY;
+    ASSERT_OK(clba_problem_write(start, path("model").c_str(), &write));
+    std::vector<double> fractions;
+    clba_read_options options;
+    ASSERT_OK(clba_read_options_init(&options, sizeof options));
+    options.user_data = &fractions;
+    options.on_progress = [](double fraction, void* user_data) -> int32_t {
+        static_cast<std::vector<double>*>(user_data)->push_back(fraction);
+        return 0;
+    };
+    clba_problem* read = nullptr;
+    ASSERT_OK(clba_problem_read(path("model").c_str(), &options, &read));
+    const Problem problem(read);
+    EXPECT_EQ(clba_problem_get_format(read), CLBA_FORMAT_COLMAP_BINARY);
+    ASSERT_FALSE(fractions.empty());
+    EXPECT_TRUE(std::is_sorted(fractions.begin(), fractions.end()));
+    EXPECT_STREQ(clba_problem_get_image_name(read, 1), "image000002");
+    EXPECT_EQ(clba_problem_get_image_name(read, 8), nullptr);
+    EXPECT_EQ(clba_problem_get_image_name(nullptr, 0), nullptr);
+
+    std::vector<uint64_t> ids(2), sizes(4);
+    std::vector<uint8_t> colors(6);
+    ASSERT_OK(clba_problem_get_camera_info(read, 3, 2, ids.data(), 0, sizes.data(), 0));
+    EXPECT_EQ(ids, (std::vector<uint64_t>{4, 5}));
+    EXPECT_GT(sizes[3], 100u);
+    ASSERT_OK(clba_problem_get_image_ids(read, 6, 2, ids.data(), 0));
+    EXPECT_EQ(ids, (std::vector<uint64_t>{7, 8}));
+    ASSERT_OK(clba_problem_get_point_info(read, 1, 2, ids.data(), 0, colors.data(), 0));
+    EXPECT_EQ(ids, (std::vector<uint64_t>{2, 3}));
+    EXPECT_EQ(colors, std::vector<uint8_t>(6, 255));
+    EXPECT_TRUE(refused(clba_problem_get_image_ids(read, 7, 2, ids.data(), 0), {"7", "8 images"}));
+
+    // Rows that are set again in the same number keep their names, in another they do not.
+    Data data = data_of(problem);
+    ASSERT_OK(clba_problem_set_images(read, 8, data.cameras.data(), 0, data.poses.data(), 0));
+    EXPECT_STREQ(clba_problem_get_image_name(read, 1), "image000002");
+    ASSERT_OK(clba_problem_set_images(read, 7, data.cameras.data(), 0, data.poses.data(), 0));
+    EXPECT_STREQ(clba_problem_get_image_name(read, 1), "");
+}
+
+TEST_F(Files, WhatAFormatCannotHoldIsRefused) {
+    const Scene scene = generate();
+    clba_write_options write;
+    ASSERT_OK(clba_write_options_init(&write, sizeof write));
+    ASSERT_OK(clba_problem_write(scene.start.get(), path("model/").c_str(), nullptr));
+    clba_problem* read = nullptr;
+    ASSERT_OK(clba_problem_read(path("model").c_str(), nullptr, &read));
+    const Problem problem(read);
+    for (const auto call : {clba_problem_write, clba_problem_check_write}) {
+        EXPECT_TRUE(refused(call(read, path("out.txt").c_str(), nullptr),
+                            {"out.txt", "principal points of 8 cameras", "names", "accept_loss"}));
+        EXPECT_TRUE(refused(call(nullptr, "x", nullptr), {"problem"}));
+        EXPECT_TRUE(refused(call(read, nullptr, nullptr), {"path"}));
+        write.format = 99;
+        EXPECT_TRUE(refused(call(read, "x", &write), {"format = 99", "1 (bal)"}));
+        write.format = CLBA_FORMAT_BAL;
+        write.accept_loss = 2;
+        EXPECT_TRUE(refused(call(read, "x", &write), {"accept_loss = 2"}));
+        write.accept_loss = 1;
+        EXPECT_TRUE(refused(call(read, path("model").c_str(), &write), CLBA_ERROR_FILE,
+                            {"model", "folder"}));
+    }
+    EXPECT_FALSE(std::filesystem::exists(path("out.txt")));
+    EXPECT_OK(clba_problem_check_write(read, path("out.txt").c_str(), &write));
+    EXPECT_FALSE(std::filesystem::exists(path("out.txt")));
+    ASSERT_OK(clba_problem_write(read, path("out.txt").c_str(), &write));
+    const Problem other = problem_of(with_other_models(data_of(scene.start)));
+    EXPECT_TRUE(refused(clba_problem_write(other.get(), path("out.bal").c_str(), &write),
+                        {"cameras[", "snavely"}));
+    EXPECT_TRUE(refused(clba_problem_write(other.get(), path("out").c_str(), nullptr),
+                        {"out", "name the format"}));
+
+    clba_read_options options;
+    ASSERT_OK(clba_read_options_init(&options, sizeof options));
+    options.on_progress = [](double, void*) -> int32_t { return 1; };
+    clba_problem* cancelled = nullptr;
+    EXPECT_TRUE(refused(clba_problem_read(path("out.txt").c_str(), &options, &cancelled),
+                        CLBA_ERROR_CANCELLED, {"progress"}));
+    options.on_progress = nullptr;
+    options.format = CLBA_FORMAT_PLY;
+    EXPECT_TRUE(refused(clba_problem_read(path("out.txt").c_str(), &options, &cancelled),
+                        {"ply", "only written"}));
+    EXPECT_TRUE(refused(clba_problem_read(nullptr, &options, &cancelled), {"path"}));
+    EXPECT_TRUE(refused(clba_problem_read("x", nullptr, nullptr), {"problem"}));
+    EXPECT_EQ(cancelled, nullptr);
 }
 
 TEST(Generating, EqualOptionsGiveEqualScenes) {

@@ -9,6 +9,7 @@
 #include <cstdlib>
 #include <limits>
 
+#include "io/bal_parallel.hpp"
 #include "temporary_folder.hpp"
 
 namespace clba {
@@ -175,6 +176,60 @@ TEST_F(BalTest, RoundTripsPlainAndCompressed) {
     EXPECT_EQ(content_of(folder.path("problem.txt.gz")).substr(0, 2), "\x1f\x8b");
     EXPECT_EQ(content_of(folder.path("problem.txt.bz2")).substr(0, 3), "BZh");
     EXPECT_EQ(folder.num_files(), 3u);
+}
+
+TEST_F(BalTest, ReadsTheSameInPiecesOfAnySize) {
+    const Problem problem = read_bal(folder.file("problem.txt", small_text));
+    write_bal(large_problem(), folder.path("large.txt"));
+    const Problem large = read_bal(folder.path("large.txt"));
+    const auto expect_equal = [&](const char* name, const Problem& expected, size_t window_bytes) {
+        BalNumbers numbers;
+        ASSERT_TRUE(read_bal_in_parallel(folder.path(name), window_bytes, numbers));
+        Problem read = expected;
+        read.observations = numbers.observations;
+        read.points = numbers.points;
+        expect_same(read, expected);
+        ASSERT_EQ(numbers.images.size(), expected.images.size());
+        for (size_t i = 0; i < numbers.images.size(); ++i)
+            for (size_t k = 0; k < 3; ++k) {
+                EXPECT_EQ(numbers.images[i][3 + k], expected.images[i].pose.translation[k]);
+                EXPECT_EQ(numbers.images[i][6 + k], expected.cameras[i].params[k]);
+            }
+    };
+    for (size_t window_bytes = 16; window_bytes < 100; ++window_bytes)
+        expect_equal("problem.txt", problem, window_bytes);
+    for (size_t window_bytes : {5000, 65537, 1 << 20, 1 << 24})
+        expect_equal("large.txt", large, window_bytes);
+}
+
+TEST_F(BalTest, LeavesWhatIsWrongToTheSerialReader) {
+    const auto is_read = [&](const std::string& content) {
+        BalNumbers numbers;
+        return read_bal_in_parallel(folder.file("problem.txt", content), 32, numbers);
+    };
+    EXPECT_TRUE(is_read(small_text));
+    for (const auto& [from, to] : std::initializer_list<std::pair<const char*, const char*>>{
+             {"1.5", "x"},
+             {"1.5", "inf"},
+             {"1 0 3e2", "2 0 3e2"},
+             {"1 0 3e2", "1 1 3e2"},
+             {"1 0 3e2", "1.0 0 3e2"},
+             {"2 1 2", "2 1 -2"},
+             {"2 1 2", "2 1 9999999999"},
+             {"2 1 2", "2 1 1"},
+             {"2 1 2", "2 1 3"},
+             {"-9", "-9 1"},
+             {"-9", ""},
+             {"-9", "-999999999999999999999999999999999999999999"}})
+        EXPECT_FALSE(is_read(replaced(from, to))) << from << " replaced by " << to;
+    EXPECT_FALSE(is_read(gzipped(small_text)));
+    EXPECT_FALSE(is_read(""));
+    EXPECT_TRUE(throws(
+        [&] {
+            write_bal(large_problem(), folder.path("large.txt"));
+            read_bal(folder.file("more.txt", content_of(folder.path("large.txt")) + "7\n"));
+        },
+        Status::format, {"'7' follows the last point"}));
 }
 
 TEST_F(BalTest, TellsCompressionByContent) {

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -15,6 +16,7 @@
 #include <vector>
 
 #include "base/error.hpp"
+#include "linear/block_inverse.hpp"
 
 namespace clba {
 namespace {
@@ -85,7 +87,8 @@ struct Matrix {
     std::vector<double> values;  // of the pattern's blocks
     double max_condition;
     std::vector<double> b;
-    Eigen::VectorXd exact;  // the solution of A x = b by Eigen
+    Eigen::VectorXd exact;        // the solution of A x = b by Eigen
+    std::vector<double> inverse;  // blocks of A^-1, like the values
 };
 
 // Random blocks, and on the diagonal 1 plus twice the sum of what is beside it.
@@ -115,6 +118,12 @@ Matrix random_matrix(const BlockPattern& pattern, uint32_t seed) {
                     // What is above the diagonal must not be read.
                     matrix.values.push_back(i >= j ? dense(i, j)
                                                    : std::numeric_limits<double>::quiet_NaN());
+    const Eigen::MatrixXd inverse = dense.inverse();
+    for (int32_t row = 0; row < pattern.num_blocks(); ++row)
+        for (int64_t k = pattern.row_begin[row]; k < pattern.row_begin[row + 1]; ++k)
+            for (int64_t i = begin[row]; i < begin[row + 1]; ++i)
+                for (int64_t j = begin[pattern.columns[k]]; j < begin[pattern.columns[k] + 1]; ++j)
+                    matrix.inverse.push_back(inverse(i, j));
     return matrix;
 }
 
@@ -135,6 +144,21 @@ void expect_solves(BlockCholesky<Real>& cholesky, const Matrix& matrix) {
         error = std::max(error, std::abs(static_cast<double>(x[i]) - matrix.exact[i]));
     EXPECT_LT(error, 4 * std::numeric_limits<Real>::epsilon() * matrix.max_condition *
                          matrix.exact.cwiseAbs().maxCoeff());
+}
+
+template <class Real>
+void expect_inverts(BlockCholesky<Real>& cholesky, const Matrix& matrix) {
+    ASSERT_TRUE(cholesky.factorize(converted<Real>(matrix.values).data()));
+    std::vector<Real> values(matrix.values.size(), std::numeric_limits<Real>::quiet_NaN());
+    BlockInverse<Real>(cholesky).compute(values.data());
+    double error = 0, largest = 0;
+    for (size_t i = 0; i < values.size(); ++i) {
+        // A number that was not written is not below anything.
+        const double difference = std::abs(static_cast<double>(values[i]) - matrix.inverse[i]);
+        error = difference <= error ? error : difference;
+        largest = std::max(largest, std::abs(matrix.inverse[i]));
+    }
+    EXPECT_LT(error, 4 * std::numeric_limits<Real>::epsilon() * matrix.max_condition * largest);
 }
 
 struct NamedPattern {
@@ -178,6 +202,49 @@ TEST(BlockCholesky, SolvesEveryPatternInEachPrecisionAndInstructionSet) {
             expect_solves(in_float, matrix);
         }
     }
+}
+
+TEST(BlockInverse, HasTheBlocksOfTheInverseInEachPrecisionAndInstructionSet) {
+    uint32_t seed = 60;
+    for (const NamedPattern& named : patterns()) {
+        const Matrix matrix = random_matrix(named.pattern, ++seed);
+        for (const InstructionSet set : available_instruction_sets()) {
+            for (const int num_threads : {1, 3}) {
+                SCOPED_TRACE(named.name + " with instruction set " +
+                             std::to_string(static_cast<int>(set)));
+                BlockCholesky<double> in_double(named.pattern, num_threads, 0, set);
+                expect_inverts(in_double, matrix);
+                BlockCholesky<float> in_float(named.pattern, num_threads, 0, set);
+                expect_inverts(in_float, matrix);
+            }
+        }
+    }
+}
+
+// Large enough that threads share fronts and tiles.
+TEST(BlockInverse, BitsDoNotDependOnTheNumberOfThreads) {
+    const BlockPattern pattern = make_pattern(mixed_sizes(150, 71), random_edges(150, 900, 72));
+    const Matrix matrix = random_matrix(pattern, 73);
+    std::vector<std::vector<double>> inverses;
+    for (const int num_threads : {1, 2, 5}) {
+        BlockCholesky<double> cholesky(pattern, num_threads, 4);
+        expect_inverts(cholesky, matrix);
+        inverses.emplace_back(matrix.values.size());
+        BlockInverse<double>(cholesky).compute(inverses.back().data());
+    }
+    EXPECT_EQ(inverses[0], inverses[1]);
+    EXPECT_EQ(inverses[0], inverses[2]);
+}
+
+TEST(BlockCholesky, PivotsAreWhatEliminationLeaves) {
+    const BlockPattern pattern = make_pattern({2, 1}, {{1, 0}});
+    BlockCholesky<double> cholesky(pattern, 1);
+    // [4 2 2; 2 5 3; 2 3 6] = L L^T with L = [2 0 0; 1 2 0; 1 1 2], in any order the same product.
+    ASSERT_TRUE(cholesky.factorize(std::vector<double>{4, 2, 2, 5, 2, 3, 6}.data()));
+    std::vector<double> pivots(3);
+    cholesky.get_pivots(pivots.data());
+    EXPECT_NEAR(pivots[0] * pivots[1] * pivots[2], 64, 1e-13);
+    for (const double pivot : pivots) EXPECT_GT(pivot, 0);
 }
 
 TEST(BlockCholesky, FactorsMatrixAfterMatrix) {

@@ -2,6 +2,7 @@
 """The clba command: what it prints and writes, its exit codes, and that bad input leaves nothing."""
 import gzip
 import json
+import math
 import os
 import pathlib
 import signal
@@ -95,6 +96,68 @@ class Usage(CliTest):
         self.refused(USAGE, "solve", file, "-o", "x", "--ply", "./x", mentions="x")
 
 
+class Filter(CliTest):
+    def test_outliers_go(self):
+        truth = "truth.txt"
+        self.scene("--outliers", "0.1", "--truth", truth)
+        done = self.clba("filter", truth, "kept.txt", "--max-error", "4", "--min-angle", "1.5",
+                         "--json", "counts.json")
+        counts = self.summary("counts.json")
+        self.assertGreater(counts["num_large_error"], 30)
+        self.assertRegex(done.stdout, rf"Observations removed +{counts['num_observations_removed']}")
+        before, kept = ((self.folder / name).read_text().split()[2] for name in (truth, "kept.txt"))
+        self.assertEqual(int(before) - int(kept), counts["num_observations_removed"])
+        self.clba("filter", "kept.txt", "kept.txt", "--json", "counts.json", "--quiet")
+        self.assertEqual(self.summary("counts.json")["num_observations_removed"], 0)
+
+    def test_rules_and_points_can_be_kept(self):
+        file = self.scene("--outliers", "0.1")
+        self.clba("filter", file, "out.txt", "--max-error", "1e9", "--min-angle", "0",
+                  "--min-views", "0", "--keep-behind", "--keep-points", "--json", "counts.json")
+        self.assertEqual(set(self.summary("counts.json").values()), {0})
+        sizes = [(self.folder / name).read_text().split()[:3] for name in (file, "out.txt")]
+        self.assertEqual(*sizes)
+
+    def test_bad_arguments(self):
+        file = self.scene()
+        self.refused(USAGE, "filter", file, "out.txt", "--min-angle", "180", mentions="180")
+        self.refused(FILE, "filter", "absent.txt", "out.txt", mentions="absent.txt")
+        for arguments in ([file], [file, "out.txt", "--max-error", "0"]):
+            self.clba("filter", *arguments, exit_code=USAGE)
+
+    def test_solve_filter_solve(self):
+        file = self.scene("--outliers", "0.05")
+        summary = self.solve(file, "--loss", "cauchy", "--filter-rounds", "2", "-o", "out.txt")
+        self.assertIn(len(summary["filter"]), (1, 2))
+        removed = sum(counts["num_observations_removed"] for counts in summary["filter"])
+        self.assertGreater(removed, 20)
+        given = int((self.folder / file).read_text().split()[2])
+        self.assertEqual(summary["observations"], given - removed)
+        self.assertLess(summary["median_residual"], 1)
+        self.clba("solve", file, "--filter-rounds", "1", "--verify", exit_code=USAGE)
+        self.refused(USAGE, "solve", file, "--filter-rounds", "1", "--filter-max-error", "1e-9",
+                     "--quiet", "-o", "none.txt", mentions="all observations")
+
+
+class Checkpoints(CliTest):
+    def test_goes_on_to_the_same_file(self):
+        file = self.scene("--outliers", "0.02")
+        options = ["--loss", "huber", "--function-tolerance", "1e-9"]
+        whole = self.solve(file, *options, "-o", "whole.txt")
+        self.solve(file, *options, "-o", "part.txt", "--max-iterations", "2", "--checkpoint", "c")
+        resumed = self.solve(file, *options, "-o", "resumed.txt", "--resume", "c")
+        self.assertEqual(resumed["resumed_iteration"], 2)
+        self.assertEqual(len(resumed["iterations"]), len(whole["iterations"]))
+        texts = [(self.folder / name).read_text() for name in ("whole.txt", "resumed.txt")]
+        self.assertEqual(*texts)
+        self.refused(FILE, "solve", file, *options, "--resume", "whole.txt", "--quiet", "-o", "x",
+                     mentions="no checkpoint")
+        self.refused(USAGE, "solve", file, "--resume", "c", "--quiet", "-o", "x",
+                     mentions="another problem")
+        self.refused(FILE, "solve", file, "--checkpoint", "absent/c", mentions="absent")
+        self.clba("solve", file, "--checkpoint", "c", "--filter-rounds", "1", exit_code=USAGE)
+
+
 class Devices(CliTest):
     def test_list(self):
         self.assertRegex(self.clba("devices").stdout, r"(?m)^0: .+\n   platform")
@@ -158,6 +221,78 @@ class Info(CliTest):
     def test_folder(self):
         (self.folder / "sub").mkdir()
         self.refused(FILE, "info", "sub", mentions="sub")
+
+
+class Convert(CliTest):
+    MODEL = {
+        "cameras.txt": "5 SIMPLE_RADIAL 640 480 500 320 240 0.1\n",
+        "images.txt": "9 1 0 0 0 0 0 5 5 a.jpg\n330 250 70 1 2 -1\n"
+                      "4 1 0 0 0 1 0 5 5 b.jpg\n430 250 70\n",
+        "points3D.txt": "70 0.1 0.1 0 255 0 1 0 9 0 4 0\n",
+    }
+
+    def model(self):
+        (self.folder / "model").mkdir()
+        for name, text in self.MODEL.items():
+            self.write(text, "model/" + name)
+        return "model"
+
+    def files(self, name):
+        return {path.name: path.read_bytes() for path in (self.folder / name).iterdir()}
+
+    def test_info_tells_the_format(self):
+        text = self.clba("info", self.model()).stdout
+        self.assertRegex(text, r"(?m)^format +colmap_text$")
+        self.assertRegex(text, r"(?m)^cameras +1, of which 1 shared$")
+        self.assertRegex(self.clba("info", self.write(SMALL)).stdout, r"(?m)^format +bal$")
+
+    def test_formats_by_name_and_by_option(self):
+        model = self.model()
+        self.clba("convert", model, "binary/", "--format", "colmap_binary")
+        self.assertEqual(set(self.files("binary")), {"cameras.bin", "images.bin", "points3D.bin"})
+        self.clba("convert", "binary", "text", "--format", "colmap_text")
+        self.clba("convert", "text", "again/")
+        self.assertEqual(self.files("again"), self.files("text"))
+        self.clba("convert", model, "model.ply")
+        self.assertTrue((self.folder / "model.ply").read_bytes().startswith(b"ply\n"))
+        self.clba("convert", self.write(SMALL), "from bal/")
+        self.assertIn("cameras.bin", self.files("from bal"))
+
+    def test_what_would_be_lost_is_listed_and_can_be_accepted(self):
+        model = self.model()
+        self.refused(USAGE, "convert", model, "out.txt", mentions="names and ids of images")
+        self.refused(USAGE, "solve", model, "-o", "out.txt.gz", mentions="principal points")
+        self.clba("convert", model, "out.txt", "--accept-loss")
+        lines = (self.folder / "out.txt").read_text(encoding="utf-8").splitlines()
+        self.assertEqual(lines[:3], ["2 1 2", "0 0 10 -10", "1 0 110 -10"])
+        self.assertEqual(self.clba("info", "out.txt").stdout.count("bal"), 1)
+
+    def test_solve_writes_the_format_of_its_input(self):
+        model = self.model()
+        before = self.files(model)
+        self.clba("solve", model, "-o", "solved", "--max-iterations", 2, "--quiet")
+        self.assertEqual(set(self.files("solved")), set(before))
+        self.assertIn(b" a.jpg\n330 250 70 1 2 -1 \n", self.files("solved")["images.txt"])
+        self.clba("solve", model, "-o", "binary", "--output-format", "colmap_binary",
+                  "--max-iterations", 2, "--quiet")
+        self.assertIn("points3D.bin", self.files("binary"))
+        self.clba("solve", model, "-o", model, "--max-iterations", 2, "--quiet")
+        self.assertEqual(self.files(model), self.files("solved"))
+
+    def test_outputs_that_cannot_be(self):
+        model = self.model()
+        for arguments, part in (
+            (["absent/out/"], "absent"),
+            (["model", "--format", "bal", "--accept-loss"], "folder"),
+            (["model/images.txt/", "--format", "colmap_binary"], "images.txt"),
+            (["model", "--format", "colmap_binary"], "another folder"),
+        ):
+            with self.subTest(arguments):
+                self.refused(FILE, "convert", model, *arguments, mentions=part)
+        self.clba("convert", model, "out", "--format", "stl", exit_code=USAGE)
+        for text in ("model/points3D.txt", "model/cameras.txt"):
+            (self.folder / text).unlink()
+            self.refused(FILE, "convert", model, "out/", mentions=text.split("/")[1])
 
 
 class Generate(CliTest):
@@ -251,6 +386,27 @@ class Solve(CliTest):
         for how, cost in costs.items():
             self.assertAlmostEqual(cost / reference, 1, delta=1e-7, msg=str(how))
 
+    def test_covariance(self):
+        file = self.scene()
+        text = self.clba("solve", file, "--covariance", "all.json", "--covariance-points",
+                         "--gauge-images", 3, 5, "--variance-factor").stdout
+        self.assertRegex(text, r"exact, gauge first_image_and_baseline \(images 3 and 5\)")
+        found = self.summary("all.json")
+        self.assertEqual((found["gauge_images"], found["num_freedoms"]), ([3, 5], 7))
+        self.assertEqual([len(found[block]) for block in ("pose", "center", "intrinsics")],
+                         [12, 12, 12])
+        self.assertEqual([len(found[block][0]) for block in ("pose", "center", "point")],
+                         [21, 6, 6])
+        self.assertEqual(found["pose"][3], [0] * 21)
+        self.assertGreater(min(found["center"][0][k] for k in (0, 2, 5)), 0)
+        self.clba("solve", file, "--covariance", "all.csv", "--covariance-gauge", "inner")
+        lines = (self.folder / "all.csv").read_text(encoding="utf-8").splitlines()
+        self.assertEqual(lines[0], "block,index,row,column,covariance")
+        self.assertEqual(len(lines), 1 + 12 * (21 + 6 + 6))
+        self.assertRegex(lines[1], r"^pose,0,0,0,\d")
+        self.refused(USAGE, "solve", file, "--quiet", "--covariance", "bad.csv",
+                     "--covariance-gauge", "problem", mentions="leaves 7 of the 7")
+
     def test_verify(self):
         text = self.clba("solve", self.scene(), "--json", "summary.json", "--verify",
                          *CONVERGED).stdout
@@ -270,6 +426,60 @@ class Solve(CliTest):
             self.clba("solve", file, "-o", name, "--quiet")
         self.assertEqual((self.folder / "a.txt").read_bytes(),
                          (self.folder / "b.txt").read_bytes())
+
+    def test_priors(self):
+        self.clba("generate", "street", "-o", "scene.txt", "--truth", "truth.txt", "--images", 12,
+                  "--observations-per-image", 80)
+        # BAL's "R, t, f, k1, k2" of the truth; centres -R^T t.
+        rows = (self.folder / "truth.txt").read_text(encoding="utf-8").split()
+        images, points, observations = map(int, rows[:3])
+        numbers = list(map(float, rows[3 + 4 * observations:]))
+        world = numbers[9 * images:]
+        gps = ["image, x, y, z, sx, sy, sz", "# centres", ""]
+        for i in range(images):
+            gps.append(f"{i}, " + ", ".join(map(str, self.center(numbers[9 * i:9 * i + 6]))) +
+                       ", 0.01,0.01,0.02")
+        gps = self.write("\n".join(gps), "gps.csv")
+        control = self.write("".join(f"{p}," + ",".join(map(str, world[3 * p:3 * p + 3])) +
+                                     ",0.01,0.01,0.01\r\n" for p in (0, points - 1)), "gcp.csv")
+        free = self.solve("scene.txt")
+        held = self.solve("scene.txt", "--position-priors", gps, "--point-priors", control, "-o",
+                          "out.txt")
+        self.assertEqual((free["gauge"], free["num_gauge_freedoms"]), ("free", 7))
+        self.assertEqual((held["gauge"], held["num_gauge_freedoms"]), ("fixed_by_priors", 0))
+        self.assertEqual(free["final_prior_cost"], 0)
+        self.assertGreater(held["initial_prior_cost"], 10 * held["final_prior_cost"])
+        self.assertGreater(held["final_prior_cost"], 0)
+        self.assertIn("fixed_by_priors", self.clba("solve", "scene.txt", "--point-priors", control,
+                                                   "--position-priors", gps).stdout)
+
+    @staticmethod
+    def center(pose):
+        """-R^T t with R = exp([w]_x): R^T t turns t by -w."""
+        w, t = pose[:3], pose[3:]
+        angle = math.sqrt(sum(x * x for x in w))
+        k = [-x / angle for x in w]
+        kt = [k[1] * t[2] - k[2] * t[1], k[2] * t[0] - k[0] * t[2], k[0] * t[1] - k[1] * t[0]]
+        along = sum(a * b for a, b in zip(k, t)) * (1 - math.cos(angle))
+        return [-(t[i] * math.cos(angle) + kt[i] * math.sin(angle) + k[i] * along)
+                for i in range(3)]
+
+    def test_bad_priors(self):
+        scene = self.scene()
+        for text, mentions in (
+                ("", "priors.csv: has no priors"),
+                ("0,1,2,3,1,1,1\nx,1,2,3,1,1,1\n", "priors.csv:2: the index is 'x'"),
+                ("0,1,2,3,1,1\n", "priors.csv:1: there is no sz"),
+                ("0,1,2,3,1,1,1,1\n", "priors.csv:1: there is more"),
+                ("0,1,nan,3,1,1,1\n", "priors.csv:1: y is 'nan'"),
+                ("0,1,2,3,1,1,0\n", "priors.csv:1: sz is '0'"),
+                ("99,1,2,3,1,1,1\n", "priors.csv: images[0] = 99, but num_images = 12"),
+                ("3,1,2,3,1,1,1\n3,1,2,3,1,1,1\n", "images[1] = 3")):
+            with self.subTest(text):
+                name = self.write(text, "priors.csv")
+                self.refused(FILE, "solve", scene, "-o", "out.txt", "--position-priors", name,
+                             mentions=mentions)
+        self.refused(FILE, "solve", scene, "--point-priors", "absent.csv", mentions="absent.csv")
 
     def test_limits_keep_the_best_state(self):
         file = self.scene()
@@ -295,6 +505,7 @@ class Solve(CliTest):
         file = self.scene()
         for option in ("-o", "--ply", "--json"):
             self.refused(FILE, "solve", file, option, "absent/out", mentions="absent")
+        for option in ("--ply", "--json"):
             self.refused(FILE, "solve", file, option, ".", mentions="folder")
 
     def test_kernel_cache_folder(self):

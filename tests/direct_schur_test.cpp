@@ -162,7 +162,7 @@ void expect_dense_solution(const Problem& problem, std::mt19937& random) {
         ASSERT_LT(condition, 1e4);
 
         Eigen::VectorXd delta = Eigen::VectorXd::Constant(n, nan);
-        ASSERT_TRUE(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+        ASSERT_TRUE(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                                  delta.data()));
         EXPECT_EQ(direct.num_indefinite(), 0);
         EXPECT_LE((delta - expected).norm(), 20 * epsilon * condition * expected.norm());
@@ -188,10 +188,11 @@ TEST(DirectSchur, OwnCameras) {
 
 TEST(DirectSchur, OwnCamerasOfAllModels) {
     std::mt19937 random(2);
-    const std::vector<CameraModelNumber> models{camera_opencv,        camera_simple_pinhole,
-                                                camera_simple_radial, camera_snavely,
-                                                camera_radial,        camera_pinhole};
-    expect_dense_solution(random_problem(models, own_cameras(6), 30, 120, random), random);
+    std::vector<CameraModelNumber> models;
+    for (int32_t model = num_camera_models - 1; model >= 0; --model)
+        models.push_back(static_cast<CameraModelNumber>(model));
+    expect_dense_solution(random_problem(models, own_cameras(num_camera_models), 60, 240, random),
+                          random);
 }
 
 TEST(DirectSchur, OneSharedCamera) {
@@ -259,7 +260,7 @@ TEST(DirectSchur, PointsAlone) {
     DirectSchur direct(problem, ParameterLayout(problem));
     const std::array<double, 3> gradient{2, -4, 1}, damping{1, 2, 4};
     std::array<double, 3> delta{};
-    ASSERT_TRUE(direct.solve({}, gradient.data(), damping.data(), delta.data()));
+    ASSERT_TRUE(direct.solve({}, gradient.data(), damping.data(), {}, delta.data()));
     EXPECT_DOUBLE_EQ(delta[0], -2);
     EXPECT_DOUBLE_EQ(delta[1], 2);
     EXPECT_DOUBLE_EQ(delta[2], -0.25);
@@ -294,7 +295,7 @@ TEST(DirectSchur, ReportsIndefiniteBlocksAndRecovers) {
     const System good = random_system(problem, layout, random);
     std::vector<double> delta(good.gradient.size());
     const auto solve = [&](const System& system) {
-        return direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+        return direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                             delta.data());
     };
     ASSERT_TRUE(solve(good));
@@ -331,7 +332,7 @@ TEST(DirectSchur, RefusesAnotherProblemsJacobian) {
     DirectSchur direct(problem, layout);
     System system = random_system(problem, layout, random);
     system.jacobian.image.pop_back();
-    EXPECT_THROW(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(),
+    EXPECT_THROW(direct.solve(system.jacobian, system.gradient.data(), system.damping.data(), {},
                               system.gradient.data()),
                  Error);
 }

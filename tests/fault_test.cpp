@@ -310,6 +310,7 @@ TEST_F(FaultTest, OpenClCallsFromTheContextOn) {
 struct SolverCase {
     const char* name;
     int32_t linear_solver, precision;
+    bool has_priors;
 };
 
 class SolveFaultTest : public FaultTest, public testing::WithParamInterface<SolverCase> {
@@ -318,6 +319,7 @@ protected:
         options.linear_solver = GetParam().linear_solver;
         options.precision = GetParam().precision;
         handle.problem = with_loss(with_uncertainties(tiny(), 5), LossKind::huber, 1.0);
+        if (GetParam().has_priors) handle.problem = with_priors(handle.problem, 6);
         EXPECT_EQ(clba_context_create(&context_options, &context), CLBA_OK) << clba_last_error();
         start = handle.problem;
         EXPECT_EQ(solve(), CLBA_OK) << clba_last_error();
@@ -392,12 +394,13 @@ TEST_P(SolveFaultTest, Allocations) {
     test_allocations(false);
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Solvers, SolveFaultTest,
-    testing::Values(SolverCase{"PcgSchurMixed", CLBA_LINEAR_SOLVER_PCG_SCHUR, CLBA_PRECISION_MIXED},
-                    SolverCase{"PcgHessianDouble", CLBA_LINEAR_SOLVER_PCG_HESSIAN,
-                               CLBA_PRECISION_DOUBLE}),
-    [](const auto& instance) { return instance.param.name; });
+INSTANTIATE_TEST_SUITE_P(Solvers, SolveFaultTest,
+                         testing::Values(SolverCase{"PcgSchurMixed", CLBA_LINEAR_SOLVER_PCG_SCHUR,
+                                                    CLBA_PRECISION_MIXED, false},
+                                         SolverCase{"PcgHessianDouble",
+                                                    CLBA_LINEAR_SOLVER_PCG_HESSIAN,
+                                                    CLBA_PRECISION_DOUBLE, true}),
+                         [](const auto& instance) { return instance.param.name; });
 
 TEST_F(FaultTest, AllocationsFromTheContextOn) {
     const Problem start = tiny();
@@ -520,6 +523,9 @@ TEST_F(FaultTest, AllocationsOfHostFunctions) {
     const std::string bal = folder.path("scene.txt.gz"), ply = folder.path("scene.ply");
     ASSERT_EQ(clba_problem_write_bal(start, bal.c_str()), CLBA_OK) << clba_last_error();
     const std::string written = content_of(bal);
+    const std::string model = folder.path("model/");
+    ASSERT_EQ(clba_problem_write(start, model.c_str(), nullptr), CLBA_OK) << clba_last_error();
+    const std::string points_written = content_of(model + "points3D.bin");
     const std::function<clba_status()> calls[] = {
         [&] {
             clba_problem *a = nullptr, *b = nullptr;
@@ -538,6 +544,14 @@ TEST_F(FaultTest, AllocationsOfHostFunctions) {
             return status;
         },
         [&] { return clba_problem_write_bal(start, bal.c_str()); },
+        [&] { return clba_problem_write(start, model.c_str(), nullptr); },
+        [&] {
+            clba_problem* problem = nullptr;
+            const clba_status status = clba_problem_read(model.c_str(), nullptr, &problem);
+            EXPECT_EQ(status == CLBA_OK, problem != nullptr);
+            clba_problem_release(problem);
+            return status;
+        },
         [&] { return clba_problem_write_ply(start, ply.c_str()); },
         [&] {
             clba_comparison comparison;
@@ -555,7 +569,10 @@ TEST_F(FaultTest, AllocationsOfHostFunctions) {
     };
     for (const auto& call : calls) fail_each(allocations_left, call, expect_allocation_failure);
     EXPECT_EQ(content_of(bal), written);
-    EXPECT_EQ(folder.num_files(), 2u);  // no temporaries are left
+    EXPECT_EQ(content_of(model + "points3D.bin").size(), points_written.size());
+    // No temporaries are left.
+    EXPECT_EQ(folder.num_files(), 3u);
+    EXPECT_EQ(std::distance(std::filesystem::directory_iterator(model), {}), 3);
     clba_problem_release(start);
     clba_problem_release(truth);
 }

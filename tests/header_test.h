@@ -6,10 +6,11 @@
 
 #include "clba/clba.h"
 
-#define CLBA_PUBLIC_STRUCTS(apply)                                               \
-    apply(clba_device_info) apply(clba_context_options) apply(clba_problem_info) \
-        apply(clba_iteration) apply(clba_solver_options) apply(clba_summary)     \
-            apply(clba_evaluation) apply(clba_comparison) apply(clba_scene_options)
+#define CLBA_PUBLIC_STRUCTS(apply)                                                 \
+    apply(clba_device_info) apply(clba_context_options) apply(clba_problem_info)   \
+        apply(clba_iteration) apply(clba_solver_options) apply(clba_summary)       \
+            apply(clba_evaluation) apply(clba_comparison) apply(clba_read_options) \
+                apply(clba_write_options) apply(clba_scene_options)
 
 #ifdef __cplusplus
 extern "C"

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <thread>
 
@@ -23,7 +24,8 @@ template <class Type>
 constexpr bool is_owner =
     !std::is_copy_constructible_v<Type> && !std::is_copy_assignable_v<Type> &&
     std::is_nothrow_move_constructible_v<Type> && std::is_nothrow_move_assignable_v<Type>;
-static_assert(is_owner<clba::Context> && is_owner<clba::Problem> && is_owner<clba::Result>);
+static_assert(is_owner<clba::Context> && is_owner<clba::Problem> && is_owner<clba::Result> &&
+              is_owner<clba::Covariance>);
 
 template <class From, class View>
 constexpr bool views = std::is_convertible_v<From, View>;
@@ -361,6 +363,105 @@ TEST_F(Solving, TheGradientIsTheProduct) {
     EXPECT_EQ(problem.offsets().intrinsics[0], 6);
 }
 
+TEST(Filtering, ReportsWhatWent) {
+    clba::Problem problem = small_scene().truth;
+    const std::vector<double> errors = problem.reprojection_errors();
+    clba::FilterOptions options;
+    options.max_reprojection_error = *std::max_element(errors.begin(), errors.end()) * 0.999;
+    options.min_num_views = 0;
+    options.min_triangulation_angle = 0;
+    const clba::Removed removed = problem.filter(options);
+    EXPECT_EQ(removed.counts.num_large_error, 1);
+    const auto worst = std::max_element(errors.begin(), errors.end()) - errors.begin();
+    EXPECT_EQ(removed.observation_rows[static_cast<size_t>(worst)], -1);
+    EXPECT_EQ(problem.info().num_observations, static_cast<int64_t>(errors.size()) - 1);
+
+    std::vector<int32_t> flags(errors.size() - 1, 1);
+    const clba::Removed rest = problem.remove_observations(flags, true);
+    EXPECT_EQ(rest.counts.num_images_unobserved, problem.info().num_images);
+    EXPECT_EQ(problem.info().num_points, 0);
+}
+
+TEST_F(Solving, AWindowOfAProblemThatGrows) {
+    const int32_t num_images = problem.info().num_images;
+    const clba::Cameras cameras = problem.cameras();
+    const clba::Images images = problem.images();
+    const clba::Observations seen = problem.observations();
+    // The last image once more, with what it sees.
+    problem.add_cameras(std::vector<int32_t>{cameras.models.back()},
+                        std::vector<double>(cameras.params.end() - 3, cameras.params.end()));
+    problem.add_images(std::vector<int32_t>{num_images},
+                       std::vector<std::array<double, 7>>{images.poses.back()});
+    problem.add_points(std::vector<Triple>{{0, 0, 0}});
+    std::vector<int32_t> points;
+    std::vector<std::array<double, 2>> xy;
+    for (size_t i = 0; i < seen.images.size(); ++i) {
+        if (seen.images[i] != num_images - 1) continue;
+        points.push_back(seen.points[i]);
+        xy.push_back(seen.xy[i]);
+    }
+    const std::vector<int32_t> rows(points.size(), num_images);
+    problem.add_observations(rows, points, xy);
+    EXPECT_EQ(problem.info().num_observations,
+              static_cast<int64_t>(seen.images.size() + points.size()));
+
+    clba::Window window({num_images, num_images - 1});
+    const clba::Result result = problem.solve_window(context, window);
+    EXPECT_EQ(result.summary().termination, CLBA_CONVERGENCE);
+    EXPECT_EQ(window.num_free_points, static_cast<int32_t>(points.size()));
+    const clba::Images refined = problem.images();
+    EXPECT_EQ(refined.poses[0], images.poses[0]);
+    EXPECT_NE(refined.poses.back(), images.poses.back());
+    clba::Window named({0}, {points[0]});
+    problem.solve_window(context, named);
+    EXPECT_EQ(named.num_free_points, 1);
+    expect_refused([&] { problem.add_observations(rows, points, {}); }, "image indices");
+}
+
+TEST_F(Solving, PriorsArrive) {
+    const double bare = problem.evaluate(context).cost;
+    const auto added = [&] { return problem.evaluate(context).cost - bare; };
+    const std::array<double, 9> unit = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    std::array<double, 36> unit6{};
+    for (size_t k = 0; k < 6; ++k) unit6[7 * k] = 1;
+    std::vector<Triple> centers = problem.centers();
+    centers.resize(2);
+    for (Triple& center : centers) center[0] += 2;
+    problem.set_position_priors(std::vector<int32_t>{0, 1}, centers,
+                                std::vector<std::array<double, 9>>{unit, unit});
+    EXPECT_NEAR(added(), 4, 1e-12 * bare);
+    problem.set_position_priors({}, {}, {});
+    EXPECT_EQ(added(), 0);
+    Triple point = problem.points()[3];
+    point[2] -= 2;
+    problem.set_point_priors(std::vector<int32_t>{3}, point, unit);
+    EXPECT_NEAR(added(), 2, 1e-12 * bare);
+    problem.set_point_priors({}, {}, {});
+    problem.set_pose_priors(std::vector<int32_t>{1}, problem.images().poses[1], unit6);
+    EXPECT_NEAR(added(), 0, 1e-12 * bare);
+    const std::vector<int32_t> pair = {0, 1};
+    problem.set_relative_pose_priors(pair, std::array<double, 7>{1, 0, 0, 0, 0, 0, 0}, unit6);
+    EXPECT_GT(added(), 0.01);
+    problem.set_relative_pose_priors({}, {}, {});
+    std::vector<double> params = problem.cameras().params;
+    params[6] += 2;
+    problem.set_intrinsics_priors(
+        std::vector<int32_t>{2}, std::vector<double>(params.begin() + 6, params.begin() + 9), unit);
+    EXPECT_NEAR(added(), 2, 1e-12 * bare);
+    expect_refused(
+        [&] {
+            problem.set_intrinsics_priors(std::vector<int32_t>{2}, std::vector<double>(2), unit);
+        },
+        "2 numbers");
+    expect_refused(
+        [&] {
+            problem.set_intrinsics_priors(std::vector<int32_t>{8}, std::vector<double>(3), unit);
+        },
+        "num_cameras");
+    expect_refused([&] { problem.set_position_priors(pair, centers, unit); }, "1 covariances");
+    EXPECT_EQ(clba::gauge_state_name(CLBA_GAUGE_STATE_FREE), "free");
+}
+
 TEST_F(Solving, StepsMovePoints) {
     const clba::ProblemInfo info = problem.info();
     const std::vector<Triple> before = problem.points();
@@ -369,6 +470,67 @@ TEST_F(Solving, StepsMovePoints) {
     problem.apply_step(step);
     EXPECT_EQ(problem.points()[1][0], before[1][0] + 0.25);
     EXPECT_EQ(problem.points()[0], before[0]);
+}
+
+TEST_F(Solving, AnyFormatAndItsProgress) {
+    const std::string name = testing::TempDir() + "hpp_test_model" + std::to_string(::getpid());
+    problem.write(name + "/");
+    double last = 0;
+    const clba::Problem read = clba::Problem::read(name, {}, [&](double fraction) {
+        last = fraction;
+        return clba::Next::go_on;
+    });
+    EXPECT_GT(last, 0);
+    EXPECT_EQ(read.format(), CLBA_FORMAT_COLMAP_BINARY);
+    EXPECT_EQ(read.points(), problem.points());
+    EXPECT_EQ(read.image_info().names[0], "image000001");
+    EXPECT_EQ(read.camera_info().sizes.size(), read.camera_info().ids.size());
+    EXPECT_EQ(read.point_info().colors[0], (std::array<uint8_t, 3>{255, 255, 255}));
+    EXPECT_TRUE(read.notices().empty());
+    expect_refused([&] { read.check_write("x.txt"); }, "principal points");
+    struct Thrown {};
+    EXPECT_THROW(clba::Problem::read(name, {}, [](double) -> clba::Next { throw Thrown(); }),
+                 Thrown);
+    const clba::Error stopped =
+        error_of([&] { clba::Problem::read(name, {}, [](double) { return clba::Next::stop; }); });
+    EXPECT_EQ(stopped.status(), CLBA_ERROR_CANCELLED);
+    std::filesystem::remove_all(name);
+}
+
+TEST_F(Solving, CovariancesInAGauge) {
+    clba::CovarianceOptions options;
+    options.gauge_images[0] = 2;
+    options.gauge_images[1] = 5;
+    const int32_t points[1] = {4};
+    options.points = points;
+    options.num_points = 1;
+    clba::Covariance covariance = problem.covariance(context, options);
+    const clba::CovarianceInfo info = covariance.info();
+    EXPECT_EQ(clba::covariance_gauge_name(info.gauge), "first_image_and_baseline");
+    EXPECT_EQ(clba::covariance_method_name(info.method), "exact");
+    EXPECT_EQ(info.gauge_images[1], 5);
+    EXPECT_EQ((covariance.pose(2)), (std::array<double, 36>{}));
+    EXPECT_GT(covariance.point(0)[0], 0);
+    const std::vector<double> joint = covariance.block(CLBA_BLOCK_POSE_AND_INTRINSICS, 1, 9);
+    const std::array<double, 36> pose = covariance.pose(1);
+    EXPECT_EQ(joint[9 * 5 + 4], pose[6 * 5 + 4]);
+    EXPECT_NEAR(covariance.center(1)[0] + covariance.center(1)[4] + covariance.center(1)[8],
+                pose[21] + pose[28] + pose[35], 1e-12 * pose[21]);
+    EXPECT_EQ(covariance.standard_errors(CLBA_BLOCK_POINT, 0, 3), std::vector<double>(9));
+    expect_refused([&] { covariance.point(1); }, "there are 1");
+    expect_refused([&] { covariance.block(CLBA_BLOCK_POINT, 0, 2); }, "stride of 32");
+    expect_refused([&] { clba::covariance_gauge_name(9); }, "gauge 9");
+
+    clba::GaugeTarget target;
+    const std::array<double, 7> origin{1, 0, 0, 0, 0, 0, 0};
+    target.images[0] = 2;
+    target.images[1] = 5;
+    target.pose = origin.data();
+    target.baseline = 3;
+    problem.fix_gauge(target);
+    EXPECT_EQ(problem.images().poses[2], origin);
+    const Triple center = problem.centers()[5];
+    EXPECT_NEAR(std::hypot(center[0], center[1], center[2]), 3, 1e-12);
 }
 
 TEST_F(Solving, FilesKeepEveryDigit) {

@@ -316,6 +316,35 @@ TEST(LinearSolvers, IterationLimitsHold) {
     }
 }
 
+TEST(LinearSolvers, EndWhenTimeIsUp) {
+    const Problem problem = test::small_scene(12, 150, {camera_snavely}, false, 9);
+    System system(problem, Precision::mixed);
+    const StopTest no_time(nullptr, 0);
+    for (const Method& method : pcg_methods) {
+        LinearSolverOptions options;
+        options.kind = method.kind;
+        options.preconditioner = method.preconditioner;
+        options.eta = 1e-12;
+        const LinearSolution cut =
+            make_linear_solver(options, problem, system.equations)->solve(1e-4, no_time);
+        EXPECT_EQ(cut.stopped, StopCause::out_of_time) << method.name;
+        EXPECT_EQ(cut.num_iterations, system.device.queue().tuning().pcg_interval) << method.name;
+        EXPECT_TRUE(cut.is_usable) << method.name;
+        EXPECT_GT(cut.model_decrease, 0) << method.name;
+    }
+    for (const LinearSolverKind kind :
+         {LinearSolverKind::explicit_schur, LinearSolverKind::direct_schur}) {
+        LinearSolverOptions options;
+        options.kind = kind;
+        const auto solver = make_linear_solver(options, problem, system.equations);
+        const LinearSolution cut = solver->solve(1e-4, no_time);
+        EXPECT_EQ(cut.stopped, StopCause::out_of_time);
+        EXPECT_FALSE(cut.is_usable);
+        EXPECT_EQ(cut.num_indefinite_blocks, 0);
+        EXPECT_TRUE(solver->solve(1e-4).is_usable);  // the next one is not hurt
+    }
+}
+
 // Image 4 of the planted problem sees nothing: without damping its block is 0.
 TEST(LinearSolvers, IndefiniteBlocksAreCountedAndDampingHeals) {
     const Problem problem = test::planted_trouble();

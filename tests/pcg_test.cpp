@@ -5,6 +5,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <atomic>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -59,7 +60,7 @@ protected:
     }
 
     void add_product(const Vector& p, Vector& q) override {
-        ++num_products_;
+        if (++num_products_ == cancel_at_product_) cancelled_ = true;
         set(q, get(q) + a_ * get(p));
     }
     void precondition(const Vector& r, Vector& z) override {
@@ -81,7 +82,9 @@ protected:
         const VectorXd unset = VectorXd::Constant(b_.size(), std::nan(""));
         Pcg pcg(options, *queue_, *vectors_, make(unset), make(unset));
         Vector device_x = make(unset), residual = make(b_);
-        const PcgResult result = pcg.solve(*this, lambda, make(d2_), residual, device_x);
+        const PcgResult result =
+            pcg.solve(*this, lambda, make(d2_), residual, device_x,
+                      StopTest(&cancelled_, std::numeric_limits<double>::infinity()));
         x = get(device_x);
         return result;
     }
@@ -91,7 +94,27 @@ protected:
     MatrixXd a_, full_;
     VectorXd d2_, b_, preconditioner_;
     int num_products_ = 0;
+    int cancel_at_product_ = -1;
+    std::atomic<bool> cancelled_{false};
 };
+
+TEST_P(PcgTest, EndsWhereItIsCancelled) {
+    make_system(40);
+    VectorXd x;
+    cancel_at_product_ = 3;
+    const int interval = queue_->tuning().pcg_interval;
+    const PcgResult result = solve({40, 40, 0.1}, x);
+    EXPECT_EQ(result.stopped, StopCause::cancelled);
+    EXPECT_EQ(result.num_iterations, (3 + interval - 1) / interval * interval);
+    EXPECT_TRUE(result.is_usable);
+    const VectorXd cut = x;
+    // It is the iterate of as many iterations.
+    cancelled_ = false;
+    cancel_at_product_ = -1;
+    const PcgResult limited = solve({result.num_iterations, result.num_iterations, 0.1}, x);
+    EXPECT_EQ(limited.stopped, StopCause::none);
+    EXPECT_EQ(cut, x);
+}
 
 TEST_P(PcgTest, SolvesASystem) {
     for (int n : {2, 3, 40, 41}) {

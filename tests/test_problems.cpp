@@ -6,6 +6,7 @@
 #include <cmath>
 #include <numeric>
 #include <random>
+#include <set>
 #include <string>
 
 #include "reference/camera_models.hpp"
@@ -52,10 +53,13 @@ Camera plausible_camera(int32_t model, Random& random) {
             value = random.uniform(780, 820);
         else if (name[0] == 'c')
             value = random.uniform(380, 520);
-        else if (name[0] == 'p')
+        else if (name[0] == 'p' || name[0] == 's')
             value = random.uniform(-2e-3, 2e-3);
+        else if (name == "omega")
+            value = random.uniform(0.7, 1.1);
         else
-            value = name == "k2" ? random.uniform(0.01, 0.03) : random.uniform(-0.12, -0.08);
+            value = name == "k" || name == "k1" ? random.uniform(-0.12, -0.08)
+                                                : random.uniform(0.01, 0.03);
     }
     return camera;
 }
@@ -81,16 +85,21 @@ Point random_point_in_ball(Random& random) {
     return {p.x(), p.y(), p.z()};
 }
 
-void observe(Problem& problem, int32_t image, int32_t point, Random& random) {
+Eigen::Vector3d in_camera_frame(const Problem& problem, int32_t image, int32_t point) {
     const auto r = rotation_matrix(problem.images[image].pose.rotation);
     const auto& t = problem.images[image].pose.translation;
     const Point& x = problem.points[point];
     Eigen::Vector3d p;
     for (int k = 0; k < 3; ++k)
         p[k] = r[3 * k] * x[0] + r[3 * k + 1] * x[1] + r[3 * k + 2] * x[2] + t[k];
+    return p;
+}
+
+void observe(Problem& problem, int32_t image, int32_t point, Random& random, double noise = 0.5) {
+    const Eigen::Vector3d p = in_camera_frame(problem, image, point);
     const auto pixel = reference::project(problem.cameras[problem.images[image].camera], p).pixel;
     problem.observations.push_back(
-        {image, point, pixel.x() + 0.5 * random.normal(), pixel.y() + 0.5 * random.normal()});
+        {image, point, pixel.x() + noise * random.normal(), pixel.y() + noise * random.normal()});
 }
 
 void observe_random_share(Problem& problem, double share, Random& random) {
@@ -175,6 +184,75 @@ Problem mixed_scene(int num_images, int num_points, uint64_t seed) {
                  seed);
 }
 
+Problem wide_angle_scene() {
+    Random random(32);
+    Problem problem;
+    for (int32_t model : all_camera_models())
+        problem.cameras.push_back(plausible_camera(model, random));
+    for (double omega : {0.0, 1e-9, 1e-3, 1.99, 2.01, 2.8}) {
+        problem.cameras.push_back(plausible_camera(camera_fov, random));
+        problem.cameras.back().params[4] = omega;
+    }
+    for (int32_t camera = 0; camera < problem.num_cameras(); ++camera) {
+        // Half a turn about x where the camera looks along -z.
+        const bool is_turned = front_sign(problem.cameras[camera].model) < 0;
+        problem.images.push_back(
+            {camera, {{is_turned ? 0.0 : 1.0, is_turned ? 1.0 : 0.0, 0, 0}, {0, 0, 0}}});
+    }
+    problem.points = {{0, 0, 5}, {5e-9, 0, 5}, {0, -5e-9, 5}, {3e-5, 4e-5, 5}, {0.3, 0.4, -5}};
+    for (double degrees : {5.0, 13.0, 14.1, 30.0, 60.0, 80.0}) {
+        for (int k = 0; k < 4; ++k) {
+            const double around = random.uniform(0, 6.28), depth = random.uniform(1, 5);
+            const double r = depth * std::tan(degrees * 0.017453292519943295);
+            problem.points.push_back({r * std::cos(around), r * std::sin(around), depth});
+        }
+    }
+    for (int32_t image = 0; image < problem.num_images(); ++image)
+        for (int32_t point = 0; point < problem.num_points(); ++point)
+            observe(problem, image, point, random);
+    problem.validate();
+    return problem;
+}
+
+Recoverable recoverable_scene() {
+    Random random(33);
+    Problem problem;
+    for (bool is_shared : {false, true}) {
+        for (int32_t model : all_camera_models()) {
+            const int32_t camera = problem.num_cameras();
+            problem.cameras.push_back(plausible_camera(model, random));
+            for (int k = 0; k < (is_shared ? 2 : 1); ++k) {
+                const Eigen::Vector3d center = random.uniform(1, 2) * random.direction();
+                problem.images.push_back(
+                    {camera, looking_at_origin(center, random.direction(), front_sign(model))});
+            }
+        }
+    }
+    for (int k = 0; k < 400; ++k) {
+        const Eigen::Vector3d p = random.uniform(4, 6) * random.direction();
+        problem.points.push_back({p.x(), p.y(), p.z()});
+    }
+    const double cosine_of_edge = 0.5;
+    for (int32_t image = 0; image < problem.num_images(); ++image) {
+        const int sign = front_sign(problem.cameras[problem.images[image].camera].model);
+        for (int32_t point = 0; point < problem.num_points(); ++point) {
+            const Eigen::Vector3d p = in_camera_frame(problem, image, point);
+            if (sign * p.z() > cosine_of_edge * p.norm()) observe(problem, image, point, random, 0);
+        }
+    }
+    Recoverable scene{problem, problem};
+    disturb(scene.start, random);
+    scene.start.validate();
+    return scene;
+}
+
+Problem with_widest_camera(Problem problem) {
+    Camera camera;
+    while (camera.num_params() < max_camera_params) ++camera.model;
+    problem.cameras.push_back(camera);
+    return problem;
+}
+
 Problem with_covariances(Problem problem, uint64_t seed) {
     Random random(seed);
     for (size_t i = 0; i < problem.observations.size(); ++i)
@@ -214,6 +292,92 @@ Problem with_uncertainties(Problem problem, uint64_t seed) {
     fill(problem.image_uncertainties, problem.images.size());
     fill(problem.camera_uncertainties, problem.cameras.size());
     fill(problem.point_uncertainties, problem.points.size());
+    return problem;
+}
+
+namespace {
+
+// L^-1 of a random covariance: n x n in rows of `stride` numbers.
+template <class Sigmas, class Whitening>
+void fill_whitening(Random& random, int n, int stride, const Sigmas& sigmas, Whitening& whitening) {
+    for (int r = 0; r < n; ++r)
+        for (int c = 0; c <= r; ++c)
+            whitening[r * stride + c] =
+                (r == c ? random.uniform(0.7, 1.3) : random.uniform(-0.5, 0.5)) / sigmas[c];
+}
+
+Pose disturbed(const Pose& pose, double rotation, double position, Random& random) {
+    std::array<double, 3> w;
+    for (double& x : w) x = random.uniform(-rotation, rotation);
+    Pose result = pose;
+    result.rotation = quaternion_product(quaternion_from_rotation_vector(w), pose.rotation);
+    for (double& t : result.translation) t += random.uniform(-position, position);
+    return result;
+}
+
+// Second camera from first camera.
+Pose relative_pose(const Pose& first, const Pose& second) {
+    const auto& q = first.rotation;
+    Pose relative;
+    relative.rotation = quaternion_product(second.rotation, {q[0], -q[1], -q[2], -q[3]});
+    const auto r = rotation_matrix(relative.rotation);
+    for (int k = 0; k < 3; ++k)
+        relative.translation[k] = second.translation[k] - (r[3 * k] * first.translation[0] +
+                                                           r[3 * k + 1] * first.translation[1] +
+                                                           r[3 * k + 2] * first.translation[2]);
+    return relative;
+}
+
+}  // namespace
+
+Problem with_priors(Problem problem, uint64_t seed) {
+    Random random(seed);
+    constexpr std::array<double, 3> of_position = {0.01, 0.02, 0.05};
+    constexpr std::array<double, 6> of_pose = {0.01, 0.02, 0.005, 0.03, 0.01, 0.02};
+    Priors& priors = problem.priors;
+    const auto near = [&](const Point& at) {
+        Point result = at;
+        for (double& x : result) x += random.uniform(-0.1, 0.1);
+        return result;
+    };
+    const int32_t n = problem.num_images();
+    for (int32_t i = 0; i < n; i += 2) {
+        priors.positions.push_back({i, near(camera_center(problem.images[i].pose)), {}});
+        fill_whitening(random, 3, 3, of_position, priors.positions.back().whitening);
+    }
+    for (int32_t i = 1; i < std::min(n, 3); ++i) {
+        priors.poses.push_back({i, disturbed(problem.images[i].pose, 0.05, 0.05, random), {}});
+        fill_whitening(random, 6, 6, of_pose, priors.poses.back().whitening);
+    }
+    for (int32_t c : std::set<int32_t>{0, problem.num_cameras() - 1}) {
+        IntrinsicsPrior prior;
+        prior.camera = c;
+        const int count = problem.cameras[c].num_params();
+        std::array<double, max_camera_params> sigmas;
+        for (int k = 0; k < count; ++k) {
+            prior.params[k] = problem.cameras[c].params[k];
+            sigmas[k] = 0.01 * std::max(std::abs(prior.params[k]), 0.01);
+            prior.params[k] += random.uniform(-3, 3) * sigmas[k];
+        }
+        fill_whitening(random, count, max_camera_params, sigmas, prior.whitening);
+        for (int k = 0; k < count; ++k)
+            prior.whitening[max_camera_params + k] = prior.whitening[max_camera_params * k + 1] = 0;
+        priors.intrinsics.push_back(prior);
+    }
+    for (int32_t p = 1; p < problem.num_points(); p += 4) {
+        priors.points.push_back({p, near(problem.points[p]), {}});
+        fill_whitening(random, 3, 3, of_position, priors.points.back().whitening);
+    }
+    const std::array<int32_t, 2> pairs[] = {{0, 3}, {0, 3}, {4, 1}, {n - 1, 0}};
+    for (const auto& [first, second] : pairs) {
+        if (first >= n || second >= n || first == second) continue;
+        const Pose relative =
+            relative_pose(problem.images[first].pose, problem.images[second].pose);
+        priors.relative_poses.push_back(
+            {first, second, disturbed(relative, 0.05, 0.05, random), {}});
+        fill_whitening(random, 6, 6, of_pose, priors.relative_poses.back().whitening);
+    }
+    problem.validate();
     return problem;
 }
 

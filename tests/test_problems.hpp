@@ -24,12 +24,31 @@ Problem small_scene(int num_images, int num_points, const std::vector<int32_t>& 
 // others, at least two, share one (snavely).
 Problem mixed_scene(int num_images, int num_points, uint64_t seed);
 
+// One image of each model, and of fov with awkward values of omega, at the origin: points in the
+// middle (0 and 1e-9 off), up to 80 degrees away from it, and behind.
+Problem wide_angle_scene();
+
+// Two cameras of each model, one of an image alone and one that two images share, see a shell of
+// points around them up to 60 degrees from their axes, without noise.
+struct Recoverable {
+    Problem truth, start;
+};
+Recoverable recoverable_scene();
+
+// With an unused camera of the model with most parameters, so that problems of different models
+// share kernels.
+Problem with_widest_camera(Problem problem);
 Problem with_covariances(Problem problem, uint64_t seed);
 Problem with_loss(Problem problem, LossKind kind, double scale);
 // Holds the pose of image 0, the rotation of image 1, the position of image 2, the first parameter
 // of camera 0, all parameters of the last camera and every fifth point, as far as they exist.
 Problem with_constants(Problem problem);
 Problem with_uncertainties(Problem problem, uint64_t seed);  // between 0.1 and 10
+// All kinds of priors, of covariances with cross terms, and targets that the state is some sigmas
+// away from: positions of even images, the poses of images 1 and 2, intrinsics of the first and the
+// last camera but for their second parameter, every fourth point from point 1, and relative poses
+// of images 0 and 3 (two), 4 and 1, and the last and the first, as far as they exist.
+Problem with_priors(Problem problem, uint64_t seed);
 
 // The same problem in a world moved by offset (along each axis) or enlarged by factor.
 Problem shifted(Problem problem, double offset);

@@ -241,7 +241,7 @@ TEST(VisibilityTiles, ManyRepeatedPairsKeepChunksBelowTheLimit) {
 }
 
 TEST(VisibilityTiles, EachModelHasItsSegment) {
-    const Problem problem = test::small_scene(9, 80, test::all_camera_models(), false, 3);
+    const Problem problem = test::small_scene(13, 80, test::all_camera_models(), false, 3);
     for (int lanes : {1, 3, 16}) expect_tiles(problem, tile_options(11, lanes));
     const VisibilityTiles tiles(problem, ParameterLayout(problem), tile_options(11, 16));
     EXPECT_EQ(tiles.chunks[0].segments.size(), static_cast<size_t>(num_camera_models));

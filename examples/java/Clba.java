@@ -39,15 +39,16 @@ public final class Clba {
         }
 
         @Structure.FieldOrder({"struct_size", "iteration", "step_is_accepted", "step_is_valid",
-            "linear_solver_iterations", "reserved", "num_behind", "cost", "cost_change",
-            "gradient_max_norm", "step_norm", "gain_ratio", "trust_region_radius", "seconds"})
+            "linear_solver_iterations", "remaining_iterations", "num_behind", "cost", "cost_change",
+            "gradient_max_norm", "step_norm", "gain_ratio", "trust_region_radius", "seconds",
+            "remaining_seconds"})
         class clba_iteration extends Structure {
             public int struct_size;
             public int iteration;
             public int step_is_accepted;
             public int step_is_valid;
             public int linear_solver_iterations;
-            public int reserved;
+            public int remaining_iterations;
             public long num_behind;
             public double cost;
             public double cost_change;
@@ -56,6 +57,7 @@ public final class Clba {
             public double gain_ratio;
             public double trust_region_radius;
             public double seconds;
+            public double remaining_seconds;
 
             public clba_iteration() {}
 
@@ -71,7 +73,8 @@ public final class Clba {
             "initial_trust_region_radius", "max_trust_region_radius", "min_trust_region_radius",
             "min_relative_decrease", "min_damping_diagonal", "max_damping_diagonal",
             "function_tolerance", "gradient_tolerance", "parameter_tolerance", "target_cost",
-            "max_seconds", "eta", "on_iteration", "user_data"})
+            "max_seconds", "eta", "on_iteration", "user_data", "cancellation", "checkpoint_path",
+            "resume_path", "checkpoint_every", "reserved"})
         class clba_solver_options extends Structure {
             public int struct_size;
             public int linear_solver;
@@ -97,6 +100,11 @@ public final class Clba {
             public double eta;
             public clba_iteration_fn on_iteration;
             public Pointer user_data;
+            public Pointer cancellation;
+            public String checkpoint_path;
+            public String resume_path;
+            public int checkpoint_every;
+            public int reserved;
         }
 
         @Structure.FieldOrder({"struct_size", "termination", "reason", "linear_solver",
@@ -110,7 +118,8 @@ public final class Clba {
             "jty_device_seconds", "schur_device_seconds", "vector_device_seconds",
             "peak_device_bytes", "device", "message", "given_linear_solver",
             "given_preconditioner", "given_precision", "jacobian", "factorization_seconds",
-            "host_seconds", "choice"})
+            "host_seconds", "choice", "resumed_iteration", "num_checkpoints", "checkpoint_error",
+            "gauge", "num_gauge_freedoms", "initial_prior_cost", "final_prior_cost"})
         class clba_summary extends Structure {
             public int struct_size;
             public int termination;
@@ -157,6 +166,13 @@ public final class Clba {
             public double factorization_seconds;
             public double host_seconds;
             public byte[] choice = new byte[256];
+            public int resumed_iteration;
+            public int num_checkpoints;
+            public byte[] checkpoint_error = new byte[256];
+            public int gauge;
+            public int num_gauge_freedoms;
+            public double initial_prior_cost;
+            public double final_prior_cost;
         }
     }
 

@@ -17,7 +17,7 @@ const iteration = koffi.struct('clba_iteration', {
   step_is_accepted: 'int32_t',
   step_is_valid: 'int32_t',
   linear_solver_iterations: 'int32_t',
-  reserved: 'int32_t',
+  remaining_iterations: 'int32_t',
   num_behind: 'int64_t',
   cost: 'double',
   cost_change: 'double',
@@ -26,6 +26,7 @@ const iteration = koffi.struct('clba_iteration', {
   gain_ratio: 'double',
   trust_region_radius: 'double',
   seconds: 'double',
+  remaining_seconds: 'double',
 });
 
 const solverOptions = koffi.struct('clba_solver_options', {
@@ -53,6 +54,11 @@ const solverOptions = koffi.struct('clba_solver_options', {
   eta: 'double',
   on_iteration: 'clba_iteration_fn *',
   user_data: 'void *',
+  cancellation: 'void *',
+  checkpoint_path: 'const char *',
+  resume_path: 'const char *',
+  checkpoint_every: 'int32_t',
+  reserved: 'int32_t',
 });
 
 const summary = koffi.struct('clba_summary', {
@@ -101,6 +107,13 @@ const summary = koffi.struct('clba_summary', {
   factorization_seconds: 'double',
   host_seconds: 'double',
   choice: koffi.array('char', 256),
+  resumed_iteration: 'int32_t',
+  num_checkpoints: 'int32_t',
+  checkpoint_error: koffi.array('char', 256),
+  gauge: 'int32_t',
+  num_gauge_freedoms: 'int32_t',
+  initial_prior_cost: 'double',
+  final_prior_cost: 'double',
 });
 
 export const structs = {

@@ -48,7 +48,7 @@ pub mod c {
         step_is_accepted: i32,
         step_is_valid: i32,
         linear_solver_iterations: i32,
-        reserved: i32,
+        remaining_iterations: i32,
         num_behind: i64,
         cost: f64,
         cost_change: f64,
@@ -57,6 +57,7 @@ pub mod c {
         gain_ratio: f64,
         trust_region_radius: f64,
         seconds: f64,
+        remaining_seconds: f64,
     });
 
     c_struct!(clba_solver_options {
@@ -84,6 +85,11 @@ pub mod c {
         eta: f64,
         on_iteration: Option<OnIteration>,
         user_data: *mut c_void,
+        cancellation: *mut c_void,
+        checkpoint_path: *const c_char,
+        resume_path: *const c_char,
+        checkpoint_every: i32,
+        reserved: i32,
     });
 
     c_struct!(clba_summary {
@@ -132,6 +138,13 @@ pub mod c {
         factorization_seconds: f64,
         host_seconds: f64,
         choice: [c_char; 256],
+        resumed_iteration: i32,
+        num_checkpoints: i32,
+        checkpoint_error: [c_char; 256],
+        gauge: i32,
+        num_gauge_freedoms: i32,
+        initial_prior_cost: f64,
+        final_prior_cost: f64,
     });
 
     #[link(name = "clba")]

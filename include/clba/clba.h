@@ -16,7 +16,7 @@
  * Terms are COLMAP's: a camera is a set of intrinsics with a model, an image is a pose that refers
  * to a camera (several images may share one), and a pose is camera_from_world: P = R X + t.
  * The cost is 1/2 sum_i rho(|r_i|^2) with r_i = L_i^-1 (projection - observation) and L_i L_i^T the
- * covariance of observation i. */
+ * covariance of observation i, and what priors add to it. */
 #ifndef CLBA_CLBA_H
 #define CLBA_CLBA_H
 #include <stddef.h>
@@ -29,9 +29,11 @@
 extern "C" {
 #endif
 
-typedef struct clba_context clba_context; /* one device and the kernels built for it */
-typedef struct clba_problem clba_problem; /* images, cameras, points and observations */
-typedef struct clba_result clba_result;   /* what a solve did */
+typedef struct clba_context clba_context;           /* one device and the kernels built for it */
+typedef struct clba_problem clba_problem;           /* images, cameras, points and observations */
+typedef struct clba_result clba_result;             /* what a solve did */
+typedef struct clba_covariance clba_covariance;     /* of the parameters at a state */
+typedef struct clba_cancellation clba_cancellation; /* a way to end solves from elsewhere */
 
 /* ---- Status ---------------------------------------------------------------------------------- */
 
@@ -46,7 +48,8 @@ enum {
     CLBA_ERROR_INTERNAL = -6,     /* a bug in this library */
     CLBA_ERROR_FILE = -7,         /* a file cannot be opened, read or written */
     CLBA_ERROR_FORMAT = -8,       /* a file's content breaks a rule of its format */
-    CLBA_ERROR_NO_PLUGIN = -9     /* direct_schur needs the plug-in library clba_cholmod */
+    CLBA_ERROR_NO_PLUGIN = -9,    /* direct_schur needs the plug-in library clba_cholmod */
+    CLBA_ERROR_CANCELLED = -10    /* a progress callback asked for it */
 };
 
 CLBA_API uint32_t clba_version(void);                        /* of the library loaded */
@@ -113,7 +116,8 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
 
 /* ---- Camera models --------------------------------------------------------------------------- */
 
-/* With u = P.x / P.z, v = P.y / P.z, r2 = u^2 + v^2 the pixel is, in COLMAP's order of parameters,
+/* With u = P.x / P.z, v = P.y / P.z, r2 = r^2 = u^2 + v^2 the pixel is, in COLMAP's order of
+ * parameters,
  *   simple_pinhole  f, cx, cy                          f u + cx, f v + cy
  *   pinhole         fx, fy, cx, cy                     fx u + cx, fy v + cy
  *   simple_radial   f, cx, cy, k                       f (1 + k r2) u + cx, ...
@@ -121,15 +125,40 @@ CLBA_API clba_status clba_context_get_device(const clba_context* context, clba_d
  *   opencv          fx, fy, cx, cy, k1, k2, p1, p2     radial as above, plus
  *                                                      du = 2 p1 u v + p2 (r2 + 2 u^2)
  *                                                      dv = 2 p2 u v + p1 (r2 + 2 v^2)
+ *   full_opencv     fx, fy, cx, cy, k1, k2, p1, p2,    opencv with the factor (1 + k1 r2 + k2 r2^2
+ *                   k3, k4, k5, k6                     + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3)
+ *   brown           f, cx, cy, k1, k2, k3, p1, p2      full_opencv with fx = fy, k4 = k5 = k6 = 0
+ *   fov             fx, fy, cx, cy, omega              fx d u + cx, fy d v + cy with
+ *                                                      d = atan(2 r tan(omega / 2)) / (omega r)
+ * and of fisheyes, with a = atan(r) the angle from the axis and s = (a / r) u, t = (a / r) v,
+ *   simple_radial_fisheye  f, cx, cy, k                f (1 + k a^2) s + cx, ...
+ *   radial_fisheye         f, cx, cy, k1, k2           f (1 + k1 a^2 + k2 a^4) s + cx, ...
+ *   opencv_fisheye         fx, fy, cx, cy,             fx (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8) s
+ *                          k1, k2, k3, k4              + cx, ...
+ *   thin_prism_fisheye     fx, fy, cx, cy, k1, k2,     opencv_fisheye as above, plus
+ *                          p1, p2, k3, k4, sx1, sy1    ds = 2 p1 s t + p2 (a^2 + 2 s^2) + sx1 a^2
+ *                                                      dt = 2 p2 s t + p1 (a^2 + 2 t^2) + sy1 a^2
  * and for snavely (Bundler, BAL), whose camera looks along -z, with u = -P.x / P.z, v = -P.y / P.z,
- *   snavely         f, k1, k2                          f (1 + k1 r2 + k2 r2^2) u, ... */
+ *   snavely         f, k1, k2                          f (1 + k1 r2 + k2 r2^2) u, ...
+ * Quotients by r and omega are their limits where these are 0. A point behind its camera gets what
+ * the formula gives for its u and v, so a fisheye sees it where it sees the opposite direction;
+ * summaries count such observations. fov's derivative by omega is 0 where omega is 0: a solve does
+ * not move it from there. Numbers from 1 to 11
+ * are COLMAP's plus 1. */
 enum {
     CLBA_CAMERA_SNAVELY = 0,
     CLBA_CAMERA_SIMPLE_PINHOLE = 1,
     CLBA_CAMERA_PINHOLE = 2,
     CLBA_CAMERA_SIMPLE_RADIAL = 3,
     CLBA_CAMERA_RADIAL = 4,
-    CLBA_CAMERA_OPENCV = 5
+    CLBA_CAMERA_OPENCV = 5,
+    CLBA_CAMERA_OPENCV_FISHEYE = 6,
+    CLBA_CAMERA_FULL_OPENCV = 7,
+    CLBA_CAMERA_FOV = 8,
+    CLBA_CAMERA_SIMPLE_RADIAL_FISHEYE = 9,
+    CLBA_CAMERA_RADIAL_FISHEYE = 10,
+    CLBA_CAMERA_THIN_PRISM_FISHEYE = 11,
+    CLBA_CAMERA_BROWN = 12
 };
 CLBA_API int32_t clba_num_camera_models(void);
 CLBA_API const char* clba_camera_model_name(int32_t model);   /* NULL: no such model */
@@ -182,6 +211,23 @@ CLBA_API clba_status clba_problem_set_covariances(clba_problem* problem, int64_t
 CLBA_API clba_status clba_problem_set_sigmas(clba_problem* problem, int64_t count,
                                              const double* sigmas, size_t stride);
 
+/* Appends rows; those before keep their index, so the first new one is the number of rows before.
+ * They are free, have uncertainties of 1 and, where covariances is NULL, the identity. */
+CLBA_API clba_status clba_problem_add_cameras(clba_problem* problem, int32_t count,
+                                              const int32_t* models, size_t models_stride,
+                                              const double* params, size_t params_stride);
+CLBA_API clba_status clba_problem_add_images(clba_problem* problem, int32_t count,
+                                             const int32_t* camera_indices, size_t camera_stride,
+                                             const double* poses, size_t poses_stride);
+CLBA_API clba_status clba_problem_add_points(clba_problem* problem, int32_t count,
+                                             const double* xyz, size_t stride);
+CLBA_API clba_status clba_problem_add_observations(clba_problem* problem, int64_t count,
+                                                   const int32_t* images, size_t images_stride,
+                                                   const int32_t* points, size_t points_stride,
+                                                   const double* xy, size_t xy_stride,
+                                                   const double* covariances,
+                                                   size_t covariances_stride);
+
 /* Rows [first, first + count) in the setters' formats. Camera rows hold as many numbers as the
  * camera's model has. */
 CLBA_API clba_status clba_problem_get_cameras(const clba_problem* problem, int32_t first,
@@ -232,7 +278,9 @@ CLBA_API clba_status clba_problem_set_point_uncertainties(clba_problem* problem,
  *   huber     s <= a^2: s, else 2 a sqrt(s) - a^2
  *   soft_l1   2 a^2 (sqrt(1 + s / a^2) - 1)
  *   cauchy    a^2 log(1 + s / a^2)
- *   tukey     s <= a^2: a^2 / 3 (1 - (1 - s / a^2)^3), else a^2 / 3 */
+ *   tukey     s <= a^2: a^2 / 3 (1 - (1 - s / a^2)^3), else a^2 / 3
+ * As rho'' <= 0 for all of them, r and J scaled by sqrt(rho') are what Ceres' corrector (Triggs)
+ * makes of them: it adds its second-order term where rho'' > 0 alone. */
 enum {
     CLBA_LOSS_NONE = 0,
     CLBA_LOSS_HUBER = 1,
@@ -243,6 +291,57 @@ enum {
 CLBA_API const char* clba_loss_name(int32_t loss); /* NULL: no such loss */
 /* scale > 0, finite; ignored for CLBA_LOSS_NONE. */
 CLBA_API clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, double scale);
+
+/* ---- Priors ---------------------------------------------------------------------------------- */
+
+/* What is known of parameters beside the observations, as Gaussian residuals: each prior adds
+ *   1/2 |L^-1 (h(x) - target)|^2
+ * to the cost, with L L^T its covariance, without a loss. Covariances are symmetric, positive
+ * definite n x n matrices, row-major, n n numbers a row. Rows are of any images, cameras or points,
+ * each at most once; setters replace all priors of their kind, and a count of 0 removes them.
+ * Replacing images, cameras or points by another number of them, or cameras by those of other
+ * models, drops their priors. Constant parameters keep the residuals of their priors and do not
+ * move. Priors of positions or poses of three images that are not on a line, for example, fix the
+ * gauge: then leave everything free. Start from a state that is near them, as of a reconstruction
+ * that was aligned. */
+
+/* Camera centres, as of GPS: h = -R^T t; target and 3 x 3 covariance in world units. */
+CLBA_API clba_status clba_problem_set_position_priors(clba_problem* problem, int32_t count,
+                                                      const int32_t* images, size_t images_stride,
+                                                      const double* positions,
+                                                      size_t positions_stride,
+                                                      const double* covariances,
+                                                      size_t covariances_stride);
+/* Whole poses, targets in the format of clba_problem_set_images: with R0 and t0 of the target the
+ * residual is log(R R0^T), a rotation vector in rad along the camera's axes, then the centre
+ * -R^T t less -R0^T t0 in world units; 6 x 6 covariance in this order. */
+CLBA_API clba_status clba_problem_set_pose_priors(clba_problem* problem, int32_t count,
+                                                  const int32_t* images, size_t images_stride,
+                                                  const double* poses, size_t poses_stride,
+                                                  const double* covariances,
+                                                  size_t covariances_stride);
+/* Intrinsics: h = params, in rows and units of clba_problem_set_cameras; n x n covariance for the n
+ * parameters of the camera's model, so that rows differ in length where models do. A variance of
+ * infinity, the rest of its row and column 0, leaves a parameter without a prior. */
+CLBA_API clba_status clba_problem_set_intrinsics_priors(clba_problem* problem, int32_t count,
+                                                        const int32_t* cameras,
+                                                        size_t cameras_stride, const double* params,
+                                                        size_t params_stride,
+                                                        const double* covariances,
+                                                        size_t covariances_stride);
+/* Points, as of ground control: h = X; target and 3 x 3 covariance in world units. */
+CLBA_API clba_status clba_problem_set_point_priors(clba_problem* problem, int32_t count,
+                                                   const int32_t* points, size_t points_stride,
+                                                   const double* positions, size_t positions_stride,
+                                                   const double* covariances,
+                                                   size_t covariances_stride);
+/* Relative poses, as of odometry, of pairs of different images: two indices a row; a pair may have
+ * several. Targets are poses (M, m) of the second camera from the first: with (R, t) = T_second
+ * T_first^-1, T camera_from_world, the residual is log(M^T R) in rad, then M^T (t - m) in world
+ * units; 6 x 6 covariance in this order. */
+CLBA_API clba_status clba_problem_set_relative_pose_priors(
+    clba_problem* problem, int32_t count, const int32_t* pairs, size_t pairs_stride,
+    const double* poses, size_t poses_stride, const double* covariances, size_t covariances_stride);
 
 /* ---- Solving --------------------------------------------------------------------------------- */
 
@@ -260,7 +359,8 @@ enum {
     CLBA_PRECONDITIONER_BLOCK_JACOBI = 1, /* inverse diagonal blocks of the damped Hessian */
     CLBA_PRECONDITIONER_SCHUR_JACOBI = 2  /* inverse diagonal blocks of S; pcg_schur only */
 };
-/* The step solves (J^T J + lambda D^2) delta = -J^T r with, for parameter i of uncertainty c_i,
+/* The step solves (J^T J + lambda D^2) delta = -J^T r, residuals of priors included, with, for
+ * parameter i of uncertainty c_i,
  *   marquardt    D_i^2 = diag(J^T J)_i, clamped to [min_damping_diagonal, max_damping_diagonal] for
  *                c_i = 1. Invariant under column scaling: uncertainties change only the clamp.
  *   levenberg    D_i = s_i / c_i, where s_i = 1 + sqrt(diag(J^T J)_i) at the first linearisation
@@ -295,21 +395,40 @@ typedef struct clba_iteration {
     int32_t step_is_accepted;         /* 1: the cost fell and the step was taken */
     int32_t step_is_valid;            /* 0: the linear solver failed or the cost was not finite */
     int32_t linear_solver_iterations; /* 1 for direct_schur */
-    int32_t reserved;                 /* 0 */
+    int32_t remaining_iterations;     /* an estimate, see remaining_seconds; -1: unknown */
     int64_t num_behind;               /* observations of points behind their camera */
-    double cost;        /* of the state kept: 1/2 sum rho(|r|^2), squared pixels (or sigmas) */
+    double cost;        /* of the state kept: 1/2 sum rho(|r|^2), squared pixels (or sigmas), and
+                           that of priors */
     double cost_change; /* cost before the step minus cost after it; > 0 is a decrease */
     double gradient_max_norm;
     double step_norm;           /* Euclidean, over all free parameters */
     double gain_ratio;          /* cost_change / decrease predicted by the linearised model */
     double trust_region_radius; /* 1 / lambda, after this iteration's update */
-    double seconds;             /* wall time since the solve was entered */
+    double seconds;             /* wall time since the solve was entered; after a resumption,
+                                   also that of the solves before */
+    /* Estimates, -1 while unknown: before two accepted steps. Relative changes of the cost are
+     * taken to fall on as they did in the last few steps, until function_tolerance ends the solve;
+     * where they do not fall, the limit on iterations alone counts. Seconds are those of as many
+     * iterations as the last few took on average; no more than the budgets are left. */
+    double remaining_seconds;
 } clba_iteration;
 
 /* Called after each iteration, on the thread inside clba_problem_solve(). Return 0 to go on; any
  * other value stops the solve, which keeps the best state found. Must not throw or longjmp, nor
  * touch the problem being solved. */
 typedef int32_t (*clba_iteration_fn)(const clba_iteration* row, void* user_data);
+
+/* Ends solves from another thread, or from a signal handler. A request stays until it is reset: all
+ * solves whose options name the object end as soon as they look, which conjugate gradients do every
+ * few iterations, factorisations between parts, and everything else between its phases. A solve
+ * keeps what it needs of it. Request, reset and is_requested may be called from any thread at any
+ * time, and request from a signal handler. */
+CLBA_API clba_status clba_cancellation_create(clba_cancellation** cancellation);
+CLBA_API clba_status clba_cancellation_retain(clba_cancellation* cancellation);
+CLBA_API void clba_cancellation_release(clba_cancellation* cancellation); /* NULL is allowed */
+CLBA_API void clba_cancellation_request(clba_cancellation* cancellation); /* NULL is allowed */
+CLBA_API void clba_cancellation_reset(clba_cancellation* cancellation);   /* NULL is allowed */
+CLBA_API int32_t clba_cancellation_is_requested(const clba_cancellation* cancellation);
 
 typedef struct clba_solver_options {
     uint32_t struct_size;
@@ -332,14 +451,30 @@ typedef struct clba_solver_options {
     double gradient_tolerance;    /* stop if gradient_max_norm <= this; 1e-10 */
     double parameter_tolerance;   /* stop if |step| <= this * (|x| + this); 1e-8 */
     double target_cost;           /* stop if cost <= this; 0 */
-    double max_seconds;           /* > 0; time budget; infinite */
+    double max_seconds;           /* > 0; time budget, which also cuts a step short, and takes it if
+                                     it lowers the cost; infinite */
     double eta; /* forcing term of the inexact step, < 1: PCG stops when an iteration improves the
                    quadratic model by less than eta / iterations, relatively (Ceres' Q-test; Nash
                    and Sofer 1990). 0 chooses by the preconditioner: 0.1 for schur_jacobi, 0.01 for
                    block_jacobi of pcg_schur, 0.001 for pcg_hessian, as the weaker ones make small
                    early progress that would end a looser test; 0 */
-    clba_iteration_fn on_iteration; /* or NULL */
-    void* user_data;                /* passed to on_iteration, never read */
+    clba_iteration_fn on_iteration;  /* or NULL */
+    void* user_data;                 /* passed to on_iteration, never read */
+    clba_cancellation* cancellation; /* or NULL */
+    /* Checkpoints: what the solve needs to go on later, to the same bits as if it had never ended.
+     * Written as files are, after every checkpoint_every-th iteration (0: none of them) and where
+     * the solve ends by a limit, the callback or a cancellation. One that cannot be written does
+     * not end the solve: the summary tells. A path that cannot be written is refused at the start.
+     */
+    const char* checkpoint_path; /* or NULL: none are written */
+    /* Goes on from a checkpoint instead of the problem's state, which it replaces. The problem must
+     * have the same measurements, weights, constants and loss, and linear_solver, preconditioner,
+     * damping, precision and jacobian must be the same; limits and tolerances may differ.
+     * max_num_iterations counts the iterations before, max_seconds does not count the time. Bits
+     * are equal on the same device and driver. May be checkpoint_path. */
+    const char* resume_path;  /* or NULL: from the problem's state */
+    int32_t checkpoint_every; /* >= 0; 10 */
+    int32_t reserved;         /* 0 */
 } clba_solver_options;
 CLBA_API clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size);
 
@@ -348,7 +483,7 @@ enum {
     CLBA_CONVERGENCE = 0,    /* a tolerance was met */
     CLBA_NO_CONVERGENCE = 1, /* a limit on iterations or time was met */
     CLBA_FAILURE = 2,        /* no usable step could be found; the best state is kept */
-    CLBA_USER_STOP = 3       /* the callback asked for it */
+    CLBA_USER_STOP = 3       /* the callback or a cancellation asked for it */
 };
 /* Why a solve ended. */
 enum {
@@ -362,8 +497,18 @@ enum {
     CLBA_REASON_INVALID_STEPS = 8,
     CLBA_REASON_INVALID_START = 9, /* cost or derivatives at the initial point are not finite */
     CLBA_REASON_CALLBACK = 10,
-    CLBA_REASON_NOTHING_TO_DO = 11 /* no observations, or every parameter is constant */
+    CLBA_REASON_NOTHING_TO_DO = 11, /* no observations, or every parameter is constant */
+    CLBA_REASON_CANCELLED = 12
 };
+
+/* What holds the 7 freedoms of a similarity (rotation, translation, scale of the world), along
+ * which observations alone leave the state free. */
+enum {
+    CLBA_GAUGE_STATE_FREE = 0,               /* not all of them are held */
+    CLBA_GAUGE_STATE_FIXED_BY_CONSTANTS = 1, /* constant poses and points hold all */
+    CLBA_GAUGE_STATE_FIXED_BY_PRIORS = 2     /* priors hold what constants leave */
+};
+CLBA_API const char* clba_gauge_state_name(int32_t gauge); /* NULL: no such value */
 
 typedef struct clba_summary {
     uint32_t struct_size;
@@ -413,9 +558,17 @@ typedef struct clba_summary {
     int32_t given_precision;
     int32_t jacobian;             /* the one used */
     double factorization_seconds; /* of explicit_schur and direct_schur: on the host */
-    double host_seconds; /* what is left of total_seconds without kernels, their building and
-                            factorizations; 0 where the queue has no profiling */
-    char choice[256];    /* why auto chose as it did, for people */
+    double host_seconds;       /* what is left of total_seconds without kernels, their building and
+                                  factorizations; 0 where the queue has no profiling */
+    char choice[256];          /* why auto chose as it did, for people */
+    int32_t resumed_iteration; /* of the checkpoint that the solve went on from; 0: of none */
+    int32_t num_checkpoints;   /* that were written */
+    char
+        checkpoint_error[256]; /* why the last one that failed could not be written; "": none did */
+    int32_t gauge;             /* at the start: CLBA_GAUGE_STATE_... */
+    int32_t num_gauge_freedoms; /* that neither constants nor priors hold; 0 to 7 */
+    double initial_prior_cost;  /* of initial_cost: what priors add */
+    double final_prior_cost;    /* of final_cost */
 } clba_summary;
 
 /* Minimises the cost from the problem's state and leaves it at the best state found, however the
@@ -423,6 +576,31 @@ typedef struct clba_summary {
  * and options the result is equal in every bit. */
 CLBA_API clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
                                         const clba_solver_options* options, clba_result** result);
+
+/* A part of a map to refine while the rest stays: local bundle adjustment. Free are the images, the
+ * points and the cameras that only these images use. What their observations refer to besides is
+ * constant: other images that see the points, other points that the images see, and cameras that
+ * images outside the window use. */
+typedef struct clba_window {
+    uint32_t struct_size;
+    int32_t refine_shared_cameras; /* 1: also cameras that images outside the window use; 0 */
+    int32_t num_images;
+    int32_t num_points;
+    const int32_t* images;       /* num_images of them, each once */
+    const int32_t* points;       /* num_points of them, each once; NULL: all that the images see */
+    int32_t num_free_points;     /* out, with the two below: what took part */
+    int32_t num_constant_images; /* out */
+    int64_t num_observations;    /* out */
+} clba_window;
+CLBA_API clba_status clba_window_init(clba_window* window, size_t struct_size);
+/* The same as a solve with everything else constant, at a cost that depends on the window and the
+ * tracks of its points alone; the first one on a problem also lists the observations of each image
+ * and point, which appending keeps up and other changes of the structure undo. Constants, weights
+ * and the loss hold. Refuses checkpoints. */
+CLBA_API clba_status clba_problem_solve_window(clba_problem* problem, clba_context* context,
+                                               const clba_solver_options* options,
+                                               clba_window* window, clba_result** result);
+
 CLBA_API void clba_result_release(clba_result* result); /* NULL is allowed */
 CLBA_API clba_status clba_result_get_summary(const clba_result* result, clba_summary* summary);
 CLBA_API int32_t clba_result_num_rows(const clba_result* result); /* 0 for NULL */
@@ -450,16 +628,17 @@ CLBA_API clba_status clba_problem_get_offsets(const clba_problem* problem,
                                               int64_t* intrinsics_offsets); /* num_cameras */
 
 /* What to compute; a NULL output is skipped. Residuals and Jacobian are whitened by the covariances
- * and multiplied by sqrt(rho'), so that gradient = J^T r. The Jacobian is in block compressed
- * sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6 columns)
- * and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the right), and a 2
- * x 3 block for its point. */
+ * and multiplied by sqrt(rho'), so that gradient = J^T r, to which priors add: cost and gradient
+ * include them, residuals and Jacobian are those of observations alone. The Jacobian is in block
+ * compressed sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6
+ * columns) and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the
+ * right), and a 2 x 3 block for its point. */
 typedef struct clba_evaluation {
     uint32_t struct_size;
     int32_t precision;       /* in: CLBA_PRECISION_DOUBLE by default */
     int32_t apply_loss;      /* in: 1; 0 leaves the loss out, as if it were CLBA_LOSS_NONE */
     int32_t reserved;        /* 0 */
-    double cost;             /* out */
+    double cost;             /* out: with priors */
     int64_t num_behind;      /* out: observations of points behind their camera */
     int64_t num_singular;    /* out: observations in the camera's own plane */
     double* residuals;       /* out, num_observations x 2 */
@@ -475,9 +654,10 @@ CLBA_API clba_status clba_problem_evaluate(clba_problem* problem, clba_context* 
 enum {
     CLBA_PRODUCT_JX = 1,          /* x: num_parameters; y: num_observations x 2 */
     CLBA_PRODUCT_JTY = 2,         /* x: num_observations x 2; y: num_parameters */
-    CLBA_PRODUCT_BLOCK_JACOBI = 3 /* y = M^-1 x with M the diagonal blocks of J^T J + lambda
-                                     diag(J^T J): one an image with its own camera, one a shared
-                                     camera, one a point; both num_parameters */
+    CLBA_PRODUCT_BLOCK_JACOBI = 3 /* y = M^-1 x with M the diagonal blocks of H + lambda diag(H), H
+                                     = J^T J and what priors add to it: one an image with its own
+                                     camera, one a shared camera, one a point; both num_parameters
+                                   */
 };
 /* Error if M has an indefinite block. lambda >= 0 is used by BLOCK_JACOBI alone. */
 CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* context,
@@ -485,6 +665,178 @@ CLBA_API clba_status clba_problem_multiply(clba_problem* problem, clba_context* 
                                            const double* x, double* y);
 /* Moves the state by step, num_parameters numbers; constant parameters stay. */
 CLBA_API clba_status clba_problem_apply_step(clba_problem* problem, const double* step);
+
+/* ---- Covariances ----------------------------------------------------------------------------- */
+
+/* The marginal covariances of poses, intrinsics and points at the problem's state: blocks of the
+ * inverse of H = J^T J, whose J has the observations' covariances and the loss's weights sqrt(rho')
+ * in it, in the tangent space above. Constant parameters are taken as known: their rows are 0. H is
+ * singular for the 7 freedoms of a similarity that no residual notices, less those that constants
+ * hold; what takes them away is the gauge, on which the covariances depend
+ * (docs/covariance.md). */
+enum {
+    CLBA_GAUGE_DEFAULT = 0, /* PROBLEM where that fixes all, otherwise FIRST_IMAGE_AND_BASELINE */
+    CLBA_GAUGE_PROBLEM = 1, /* what the problem holds; an error if that is not all */
+    CLBA_GAUGE_FIRST_IMAGE_AND_BASELINE = 2, /* an image's pose and its distance from another */
+    CLBA_GAUGE_THREE_POINTS = 3, /* two points, and a third across the plane of the three */
+    CLBA_GAUGE_INNER = 4         /* nothing alone: least trace over all camera centres */
+};
+CLBA_API const char* clba_covariance_gauge_name(int32_t gauge); /* NULL: no such value */
+enum {
+    CLBA_COVARIANCE_AUTO = 0,   /* EXACT where it has the memory */
+    CLBA_COVARIANCE_EXACT = 1,  /* the Schur complement's selected inverse */
+    CLBA_COVARIANCE_SAMPLED = 2 /* estimated from random samples by conjugate gradients */
+};
+CLBA_API const char* clba_covariance_method_name(int32_t method); /* NULL: no such value */
+
+typedef struct clba_covariance_options {
+    uint32_t struct_size;
+    int32_t gauge;                 /* DEFAULT */
+    int32_t gauge_images[2];       /* of FIRST_IMAGE_AND_BASELINE; -1: a constant or else the first
+                                      image with observations, and the one farthest from it; -1 */
+    int32_t gauge_points[3];       /* of THREE_POINTS; -1 */
+    int32_t method;                /* AUTO */
+    int32_t apply_variance_factor; /* 1: multiply by the variance factor below; 0: observations'
+                                      covariances are what they say; 0 */
+    int32_t all_points;            /* 1: of every point; 0 */
+    const int32_t* points;         /* of these points, num_points, unless all_points; NULL */
+    int64_t num_points;            /* 0 */
+    uint64_t max_bytes;  /* host memory that AUTO lets EXACT take; 0: half of all there is; 0 */
+    int32_t num_samples; /* of SAMPLED; 0: so many as relative_error asks for; 0 */
+    int32_t max_linear_solver_iterations; /* of each sample; 20000 */
+    double relative_error; /* standard error of a sampled variance, relatively, in (0, 1): 2 /
+                              relative_error^2 samples; 0.1 */
+    uint64_t seed;         /* of SAMPLED; 0 */
+} clba_covariance_options;
+CLBA_API clba_status clba_covariance_options_init(clba_covariance_options* options,
+                                                  size_t struct_size);
+
+typedef struct clba_covariance_info {
+    uint32_t struct_size;
+    int32_t gauge;           /* the one used */
+    int32_t gauge_images[2]; /* of FIRST_IMAGE_AND_BASELINE, else -1 */
+    int32_t gauge_points[3]; /* of THREE_POINTS, else -1 */
+    int32_t num_freedoms;    /* of the 7, that the gauge took away; the problem holds the others */
+    int32_t method;          /* the one used */
+    int32_t num_samples;     /* 0 if EXACT */
+    int32_t variance_factor_is_applied;
+    int32_t num_images;
+    int32_t num_cameras;
+    int32_t reserved;       /* 0 */
+    int64_t num_points;     /* whose covariances were asked for */
+    double relative_error;  /* standard error of each variance; 0 if EXACT */
+    double cost;            /* at the state, with the loss */
+    double variance_factor; /* a posteriori: 2 cost / redundancy; NaN where that is not > 0 */
+    int64_t redundancy;     /* residuals less determined parameters and plus num_freedoms */
+    int64_t num_undetermined_parameters;  /* of poses and intrinsics, that no observation moves */
+    int64_t num_undetermined_points;      /* of all points: without parallax, seen once or never */
+    int64_t num_linear_solver_iterations; /* of SAMPLED, summed */
+    uint64_t bytes;                       /* of EXACT: the Schur complement, its factor, its
+                                             inverse and working space */
+    double total_seconds;
+    double form_seconds;    /* of EXACT: the Schur complement */
+    double factor_seconds;  /* its factorisation */
+    double inverse_seconds; /* the blocks of its inverse */
+    double point_seconds;
+} clba_covariance_info;
+
+/* Needs a device with fp64. Undetermined parameters get infinite variances and covariances 0: poses
+ * and intrinsics without observations, and points of which elimination of two coordinates leaves a
+ * share of 1e-12 or less of the third one's information. Where images are not determined though
+ * they have observations the call fails and names one. Blocks. */
+CLBA_API clba_status clba_problem_covariance(clba_problem* problem, clba_context* context,
+                                             const clba_covariance_options* options,
+                                             clba_covariance** covariance);
+CLBA_API void clba_covariance_release(clba_covariance* covariance); /* NULL is allowed */
+CLBA_API clba_status clba_covariance_get_info(const clba_covariance* covariance,
+                                              clba_covariance_info* info);
+/* What clba_covariance_get gives: row i of values is a symmetric matrix, of n x n numbers. */
+enum {
+    CLBA_BLOCK_POSE = 1,       /* of image i: rotation, position (the tangent space); n = 6 */
+    CLBA_BLOCK_CENTER = 2,     /* of image i's centre -R^T t, in world coordinates; n = 3 */
+    CLBA_BLOCK_INTRINSICS = 3, /* of camera i; n parameters */
+    CLBA_BLOCK_POSE_AND_INTRINSICS = 4, /* of image i and its camera; n = 6 + parameters */
+    CLBA_BLOCK_POINT = 5 /* of the i-th point asked for, in world coordinates; n = 3 */
+};
+/* Rows [first, first + count); rows whose n differ follow each other without gaps where stride is
+ * 0. standard_errors (may be NULL, else like values): of each entry as an estimate, 0 if EXACT. */
+CLBA_API clba_status clba_covariance_get(const clba_covariance* covariance, int32_t block,
+                                         int64_t first, int64_t count, double* values,
+                                         double* standard_errors, size_t stride);
+
+typedef struct clba_gauge_target {
+    uint32_t struct_size;
+    int32_t gauge;         /* DEFAULT (FIRST_IMAGE_AND_BASELINE), THREE_POINTS or INNER */
+    int32_t images[2];     /* of FIRST_IMAGE_AND_BASELINE; -1: as in clba_covariance_options; -1 */
+    int32_t points[3];     /* of THREE_POINTS; -1 */
+    int32_t reserved;      /* 0 */
+    const double* pose;    /* qw qx qy qz tx ty tz for the first image; NULL */
+    double baseline;       /* > 0: distance of its centre from the second one's; 0 */
+    const double* xyz;     /* 9 numbers for the three points; NULL */
+    const double* centers; /* of INNER: 3 numbers an image, to which all centres are brought as
+                              close as a similarity brings them (Umeyama 1991); NULL */
+} clba_gauge_target;
+CLBA_API clba_status clba_gauge_target_init(clba_gauge_target* target, size_t struct_size);
+/* Moves the state by the similarity that puts what the gauge holds where target says: the first
+ * image's pose and the baseline's length; the first point, the line to the second with its length,
+ * and the plane to the third; or the camera centres. No residual changes. Refused where poses or
+ * points are constant. */
+CLBA_API clba_status clba_problem_fix_gauge(clba_problem* problem, const clba_gauge_target* target);
+
+/* ---- Removing outliers ----------------------------------------------------------------------- */
+
+enum {
+    CLBA_UNIT_PIXELS = 1, /* |projection - observation| */
+    CLBA_UNIT_SIGMAS = 2  /* whitened by the covariances: |L^-1 (projection - observation)| */
+};
+CLBA_API const char* clba_unit_name(int32_t unit); /* NULL: no such unit */
+/* Reprojection errors of observations [first, first + count), without the loss; on the host. */
+CLBA_API clba_status clba_problem_get_reprojection_errors(const clba_problem* problem, int32_t unit,
+                                                          int64_t first, int64_t count,
+                                                          double* errors, size_t stride);
+
+/* Which observations are outliers. A rule looks at what those before it left; the last two take all
+ * observations of a point, and leave constant points alone. */
+typedef struct clba_filter_options {
+    uint32_t struct_size;
+    int32_t error_unit;             /* CLBA_UNIT_PIXELS */
+    int32_t remove_behind;          /* 1: points behind their camera, or in its own plane */
+    int32_t min_num_views;          /* >= 0; points that fewer images see; 2 */
+    double max_reprojection_error;  /* > 0; may be infinite; larger errors; 4 */
+    double min_triangulation_angle; /* degrees, in [0, 180); points whose largest angle between two
+                                       rays is smaller; 1.5 */
+    int32_t remove_points; /* 1: remove points that are left without observations; 0 keeps them */
+    int32_t reserved;      /* 0 */
+} clba_filter_options;
+CLBA_API clba_status clba_filter_options_init(clba_filter_options* options, size_t struct_size);
+
+/* What was removed. Set struct_size, and the arrays to memory of the caller's or NULL. */
+typedef struct clba_filter_report {
+    uint32_t struct_size;
+    int32_t num_images_unobserved;    /* images that lost all their observations */
+    int64_t num_observations_removed; /* the sum of the next four, or what the caller named */
+    int64_t num_behind;
+    int64_t num_large_error;
+    int64_t num_few_views;
+    int64_t num_small_angle;
+    int32_t num_points_few_views; /* points that the last two rules took */
+    int32_t num_points_small_angle;
+    int32_t num_points_unobserved; /* points that lost all their observations */
+    int32_t num_points_removed;    /* without observations, also those that had none before */
+    int64_t* observation_rows;     /* out, one an observation before: its row now, -1 if removed */
+    int32_t* point_rows;           /* out, one a point before: its row now, -1 if removed */
+    int32_t* unobserved_images;    /* out, num_images: 1 if the image lost all its observations */
+} clba_filter_report;
+
+/* Removes outliers at the present state, with their covariances; the order of the rest stays.
+ * options NULL: defaults. report may be NULL. Computed on the host. */
+CLBA_API clba_status clba_problem_filter(clba_problem* problem, const clba_filter_options* options,
+                                         clba_filter_report* report);
+/* Removes the observations whose flag is not 0; one flag an observation. */
+CLBA_API clba_status clba_problem_remove_observations(clba_problem* problem, int64_t count,
+                                                      const int32_t* flags, size_t stride,
+                                                      int32_t remove_points,
+                                                      clba_filter_report* report);
 
 /* ---- Comparing ------------------------------------------------------------------------------- */
 
@@ -504,13 +856,83 @@ CLBA_API clba_status clba_problem_compare(const clba_problem* a, const clba_prob
 
 /* ---- Files ----------------------------------------------------------------------------------- */
 
-/* Bundle Adjustment in the Large: plain, gzip or bzip2 text, told apart by content. Each BAL camera
- * becomes an image with a snavely camera of its own. */
+enum {
+    CLBA_FORMAT_AUTO = 0, /* reading: told by content; writing: see clba_write_options */
+    CLBA_FORMAT_BAL = 1,  /* Bundle Adjustment in the Large: plain, gzip or bzip2 text */
+    CLBA_FORMAT_COLMAP_BINARY =
+        2,                       /* a folder of cameras, images, points3D and, since COLMAP 3.12, */
+    CLBA_FORMAT_COLMAP_TEXT = 3, /* rigs and frames: .bin or .txt */
+    CLBA_FORMAT_BUNDLER = 4,
+    CLBA_FORMAT_NVM = 5,
+    CLBA_FORMAT_OPENMVG = 6,
+    CLBA_FORMAT_OPENSFM = 7,
+    CLBA_FORMAT_PLY = 8 /* written only: points in white, camera centres in green */
+};
+CLBA_API const char* clba_format_name(int32_t format); /* NULL: this version does not have it */
+
+/* fraction of the file read, from 0 to 1, on the thread that reads. Return 0 to go on; any other
+ * value ends the reading with CLBA_ERROR_CANCELLED. Must not throw or longjmp. */
+typedef int32_t (*clba_progress_fn)(double fraction, void* user_data);
+
+typedef struct clba_read_options {
+    uint32_t struct_size;
+    int32_t format;               /* AUTO */
+    clba_progress_fn on_progress; /* or NULL */
+    void* user_data;              /* passed to on_progress, never read */
+} clba_read_options;
+CLBA_API clba_status clba_read_options_init(clba_read_options* options, size_t struct_size);
+/* options NULL: defaults. Rows keep the file's order. What a problem has no place for (names, ids,
+ * colours, features without a point, rigs) is kept beside it and written back; a setter that
+ * changes the number of rows drops what belonged to them. */
+CLBA_API clba_status clba_problem_read(const char* path, const clba_read_options* options,
+                                       clba_problem** problem);
+/* What was read and cannot be solved as it is in the file, a line each; "" if nothing. Valid as
+ * long as the problem. */
+CLBA_API const char* clba_problem_notices(const clba_problem* problem);
+/* The one it was read in; AUTO if it was not read. */
+CLBA_API int32_t clba_problem_get_format(const clba_problem* problem);
+
+typedef struct clba_write_options {
+    uint32_t struct_size;
+    int32_t format;      /* AUTO: a folder's if `path` is a folder or ends in '/', else that of the
+                            name's ending if it has one, else the one the problem was read in */
+    int32_t accept_loss; /* 0: an error, which lists them, if the format cannot hold things that the
+                            problem and what was read with it have; 1: they are left out */
+    int32_t reserved;    /* 0 */
+} clba_write_options;
+CLBA_API clba_status clba_write_options_init(clba_write_options* options, size_t struct_size);
+/* options NULL: defaults. Files are written to temporary ones beside them and renamed: an error
+ * leaves what was there. Cameras are converted where that is exact: snavely to radial, and
+ * simple_pinhole, simple_radial and radial to snavely, which loses the principal point as a
+ * parameter. No format holds covariances, losses, constants or uncertainties. */
+CLBA_API clba_status clba_problem_write(const clba_problem* problem, const char* path,
+                                        const clba_write_options* options);
+/* Whether write would refuse the format or a loss: to know before a long solve. */
+CLBA_API clba_status clba_problem_check_write(const clba_problem* problem, const char* path,
+                                              const clba_write_options* options);
+
+/* What files hold of rows [first, first + count). NULL outputs are skipped. Where the problem was
+ * not read from a file that has them, ids are the index + 1, sizes 0, colours white. */
+CLBA_API clba_status clba_problem_get_camera_info(const clba_problem* problem, int32_t first,
+                                                  int32_t count, uint64_t* ids, size_t ids_stride,
+                                                  uint64_t* sizes, /* width, height in pixels */
+                                                  size_t sizes_stride);
+CLBA_API clba_status clba_problem_get_image_ids(const clba_problem* problem, int32_t first,
+                                                int32_t count, uint64_t* ids, size_t stride);
+CLBA_API clba_status clba_problem_get_point_info(const clba_problem* problem, int32_t first,
+                                                 int32_t count, uint64_t* ids, size_t ids_stride,
+                                                 uint8_t* colors, /* red, green, blue */
+                                                 size_t colors_stride);
+/* "" if it has none, NULL if there is no such image. Valid until the images are set again. */
+CLBA_API const char* clba_problem_get_image_name(const clba_problem* problem, int32_t image);
+
+/* The same as read with the format BAL: each BAL camera becomes an image with a snavely camera of
+ * its own. */
 CLBA_API clba_status clba_problem_read_bal(const char* path, clba_problem** problem);
-/* Compressed if path ends in .gz or .bz2. Needs every camera to be a snavely one. Written to a
- * temporary file beside `path` and renamed: an error leaves what was there. */
+/* Compressed if path ends in .gz or .bz2. Needs every camera to be a snavely one; images that share
+ * one each get its numbers. */
 CLBA_API clba_status clba_problem_write_bal(const clba_problem* problem, const char* path);
-/* Points in white, camera centres in green; binary little-endian. Written as write_bal does. */
+/* The same as write with the format PLY; binary little-endian. */
 CLBA_API clba_status clba_problem_write_ply(const clba_problem* problem, const char* path);
 
 /* ---- Generated scenes with known truth ------------------------------------------------------- */

@@ -37,6 +37,7 @@ using ProblemInfo = clba_problem_info;
 using Iteration = clba_iteration;
 using Summary = clba_summary;
 using Comparison = clba_comparison;
+using CovarianceInfo = clba_covariance_info;
 
 // ---- Errors -------------------------------------------------------------------------------------
 
@@ -162,6 +163,21 @@ inline std::string_view precision_name(int32_t precision) {
 inline std::string_view jacobian_name(int32_t jacobian) {
     return detail::name(clba_jacobian_name, jacobian, "jacobian");
 }
+inline std::string_view format_name(int32_t format) {
+    return detail::name(clba_format_name, format, "format");
+}
+inline std::string_view covariance_gauge_name(int32_t gauge) {
+    return detail::name(clba_covariance_gauge_name, gauge, "gauge");
+}
+inline std::string_view covariance_method_name(int32_t method) {
+    return detail::name(clba_covariance_method_name, method, "covariance method");
+}
+inline std::string_view unit_name(int32_t unit) {
+    return detail::name(clba_unit_name, unit, "unit");
+}
+inline std::string_view gauge_state_name(int32_t gauge) {
+    return detail::name(clba_gauge_state_name, gauge, "gauge state");
+}
 inline std::string_view scene_name(int32_t scene) {
     return detail::name(clba_scene_name, scene, "scene");
 }
@@ -239,6 +255,19 @@ struct Images {
     std::vector<int32_t> cameras;
     std::vector<std::array<double, 7>> poses;  // qw qx qy qz tx ty tz
 };
+// What files hold beside the problem, a row each (clba_problem_get_camera_info, ...).
+struct CameraInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::array<uint64_t, 2>> sizes;  // width, height
+};
+struct ImageInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::string> names;
+};
+struct PointInfo {
+    std::vector<uint64_t> ids;
+    std::vector<std::array<uint8_t, 3>> colors;
+};
 struct Observations {
     std::vector<int32_t> images, points;
     std::vector<std::array<double, 2>> xy;
@@ -256,15 +285,70 @@ struct SolverOptions : clba_solver_options {
         check(clba_solver_options_init(this, sizeof(clba_solver_options)));
     }
 };
+struct ReadOptions : clba_read_options {
+    ReadOptions() : clba_read_options() {
+        check(clba_read_options_init(this, sizeof(clba_read_options)));
+    }
+};
+struct WriteOptions : clba_write_options {
+    WriteOptions() : clba_write_options() {
+        check(clba_write_options_init(this, sizeof(clba_write_options)));
+    }
+};
 struct SceneOptions : clba_scene_options {
     SceneOptions() : clba_scene_options() {
         check(clba_scene_options_init(this, sizeof(clba_scene_options)));
+    }
+};
+struct FilterOptions : clba_filter_options {
+    FilterOptions() : clba_filter_options() {
+        check(clba_filter_options_init(this, sizeof(clba_filter_options)));
     }
 };
 // What evaluate() is to compute, and where to: pointers left NULL are skipped.
 struct EvaluationRequest : clba_evaluation {
     EvaluationRequest() : clba_evaluation() {
         check(clba_evaluation_init(this, sizeof(clba_evaluation)));
+    }
+};
+
+struct CovarianceOptions : clba_covariance_options {
+    CovarianceOptions() : clba_covariance_options() {
+        check(clba_covariance_options_init(this, sizeof(clba_covariance_options)));
+    }
+};
+struct GaugeTarget : clba_gauge_target {
+    GaugeTarget() : clba_gauge_target() {
+        check(clba_gauge_target_init(this, sizeof(clba_gauge_target)));
+    }
+};
+
+// Images, and points if they are not all that these see, to refine while the rest stays.
+struct Window : clba_window {
+    Window(std::vector<int32_t> of_images) : Window(std::move(of_images), {}, false) {}
+    Window(std::vector<int32_t> of_images, std::vector<int32_t> of_points)
+        : Window(std::move(of_images), std::move(of_points), true) {}
+
+    // Points the C struct to the lists.
+    clba_window& fill() {
+        num_images = detail::count32(static_cast<int64_t>(image_rows.size()), "images");
+        num_points = detail::count32(static_cast<int64_t>(point_rows.size()), "points");
+        images = image_rows.data();
+        static constexpr int32_t none = 0;
+        points = !names_points ? nullptr : point_rows.empty() ? &none : point_rows.data();
+        return *this;
+    }
+
+    std::vector<int32_t> image_rows, point_rows;
+    bool names_points;
+
+private:
+    Window(std::vector<int32_t> of_images, std::vector<int32_t> of_points, bool names)
+        : clba_window(),
+          image_rows(std::move(of_images)),
+          point_rows(std::move(of_points)),
+          names_points(names) {
+        check(clba_window_init(this, sizeof(clba_window)));
     }
 };
 
@@ -280,6 +364,13 @@ inline void release(clba_problem* handle) noexcept {
 }
 inline void release(clba_result* handle) noexcept {
     clba_result_release(handle);
+}
+inline void release(clba_covariance* handle) noexcept {
+    clba_covariance_release(handle);
+}
+
+inline void release(clba_cancellation* handle) noexcept {
+    clba_cancellation_release(handle);
 }
 
 // Owns one reference.
@@ -373,8 +464,25 @@ public:
     std::string_view json() const { return clba_result_json(object_); }
 };
 
+// Ends the solves whose options name it: `options.cancellation = cancellation.get()`. request(),
+// reset() and is_requested() may be called from any thread.
+class Cancellation : public detail::Handle<clba_cancellation> {
+public:
+    using Handle::Handle;
+
+    Cancellation() { check(clba_cancellation_create(&object_)); }
+    Cancellation share() const {
+        check(clba_cancellation_retain(object_));
+        return Cancellation(object_);
+    }
+    void request() noexcept { clba_cancellation_request(object_); }
+    void reset() noexcept { clba_cancellation_reset(object_); }
+    bool is_requested() const noexcept { return clba_cancellation_is_requested(object_) != 0; }
+};
+
 enum class Next { go_on, stop };
 using IterationCallback = std::function<Next(const Iteration&)>;
+using ProgressCallback = std::function<Next(double)>;
 
 struct Offsets {
     std::vector<int64_t> poses, intrinsics;  // one an image; one a camera
@@ -386,12 +494,106 @@ struct Evaluation {
     std::vector<double> residuals, gradient, jacobian_images, jacobian_points;
 };
 
+// Covariances of a state's parameters: symmetric matrices by rows.
+class Covariance : public detail::Handle<clba_covariance> {
+public:
+    using Handle::Handle;
+
+    CovarianceInfo info() const {
+        auto info = detail::sized<CovarianceInfo>();
+        check(clba_covariance_get_info(object_, &info));
+        return info;
+    }
+    std::array<double, 36> pose(int64_t image) const { return fixed<36>(CLBA_BLOCK_POSE, image); }
+    std::array<double, 9> center(int64_t image) const { return fixed<9>(CLBA_BLOCK_CENTER, image); }
+    // Of the index-th point asked for.
+    std::array<double, 9> point(int64_t index) const { return fixed<9>(CLBA_BLOCK_POINT, index); }
+    // Any block: size x size numbers, which must be what clba.h says for it.
+    std::vector<double> block(int32_t block, int64_t row, size_t size) const {
+        std::vector<double> values(size * size);
+        check(clba_covariance_get(object_, block, row, 1, values.data(), nullptr,
+                                  values.size() * sizeof(double)));
+        return values;
+    }
+    // Like block(): standard errors of its entries as estimates.
+    std::vector<double> standard_errors(int32_t block, int64_t row, size_t size) const {
+        std::vector<double> values(size * size), errors(size * size);
+        check(clba_covariance_get(object_, block, row, 1, values.data(), errors.data(),
+                                  values.size() * sizeof(double)));
+        return errors;
+    }
+
+private:
+    template <size_t size>
+    std::array<double, size> fixed(int32_t block, int64_t row) const {
+        std::array<double, size> values;
+        check(clba_covariance_get(object_, block, row, 1, values.data(), nullptr, 0));
+        return values;
+    }
+};
+
+// What was removed; counts are those of clba_filter_report.
+struct Removed {
+    clba_filter_report counts;               // without its arrays
+    std::vector<int64_t> observation_rows;   // of each row before: its row now, -1 if removed
+    std::vector<int32_t> point_rows;         // likewise
+    std::vector<int32_t> unobserved_images;  // 1: the image lost all its observations
+};
+
 // Images, cameras, points and observations; used by one thread at a time.
 class Problem : public detail::Handle<clba_problem> {
 public:
     using Handle::Handle;
 
     Problem() { check(clba_problem_create(&object_)); }  // an empty one
+
+    // Of any format. on_progress gets the fraction read; what it throws comes out of here.
+    static Problem read(const std::string& path, const ReadOptions& options = {},
+                        const ProgressCallback& on_progress = {}) {
+        clba_read_options given = options;
+        Call<ProgressCallback> call{on_progress, nullptr};
+        if (on_progress) {
+            given.on_progress = &Call<ProgressCallback>::enter;
+            given.user_data = &call;
+        }
+        clba_problem* made = nullptr;
+        const clba_status status = clba_problem_read(path.c_str(), &given, &made);
+        if (call.thrown) std::rethrow_exception(call.thrown);
+        check(status);
+        return Problem(made);
+    }
+    void write(const std::string& path, const WriteOptions& options = {}) const {
+        check(clba_problem_write(object_, path.c_str(), &options));
+    }
+    void check_write(const std::string& path, const WriteOptions& options = {}) const {
+        check(clba_problem_check_write(object_, path.c_str(), &options));
+    }
+    std::string_view notices() const { return clba_problem_notices(object_); }
+    int32_t format() const { return clba_problem_get_format(object_); }
+
+    CameraInfo camera_info() const {
+        const auto count = static_cast<size_t>(info().num_cameras);
+        CameraInfo rows{std::vector<uint64_t>(count), std::vector<std::array<uint64_t, 2>>(count)};
+        check(clba_problem_get_camera_info(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                           0, detail::numbers<2>(rows.sizes.data(), count), 0));
+        return rows;
+    }
+    ImageInfo image_info() const {
+        const auto count = static_cast<size_t>(info().num_images);
+        ImageInfo rows{std::vector<uint64_t>(count), {}};
+        check(clba_problem_get_image_ids(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                         0));
+        for (size_t i = 0; i < count; ++i)
+            rows.names.emplace_back(clba_problem_get_image_name(object_, static_cast<int32_t>(i)));
+        return rows;
+    }
+    PointInfo point_info() const {
+        const auto count = static_cast<size_t>(info().num_points);
+        PointInfo rows{std::vector<uint64_t>(count), std::vector<std::array<uint8_t, 3>>(count)};
+        check(clba_problem_get_point_info(object_, 0, static_cast<int32_t>(count), rows.ids.data(),
+                                          0, detail::numbers<3>(rows.colors.data(), count), 0));
+        return rows;
+    }
 
     static Problem read_bal(const std::string& path) {
         clba_problem* made = nullptr;
@@ -482,8 +684,80 @@ public:
         check(clba_problem_set_point_uncertainties(
             object_, detail::count32(values.count(), "points"), values.data(), values.stride()));
     }
+    // -- Priors: all of a kind; {} removes them
+
+    void set_position_priors(Rows<const int32_t, 1> images, Rows<const double, 3> positions,
+                             Rows<const double, 9> covariances) {
+        set_priors(clba_problem_set_position_priors, images, positions, covariances);
+    }
+    void set_pose_priors(Rows<const int32_t, 1> images, Rows<const double, 7> poses,
+                         Rows<const double, 36> covariances) {
+        set_priors(clba_problem_set_pose_priors, images, poses, covariances);
+    }
+    // covariances: n x n numbers a camera of n parameters.
+    void set_intrinsics_priors(Rows<const int32_t, 1> cameras, CameraRows<const double> params,
+                               CameraRows<const double> covariances) {
+        const std::vector<int32_t> models = camera_models();
+        int64_t size = 0, squared_size = 0;
+        bool is_known = true;  // else the C function says which is not
+        for (int64_t i = 0; i < cameras.count(); ++i) {
+            const int32_t camera = value(cameras, i);
+            is_known = is_known && camera >= 0 && camera < static_cast<int32_t>(models.size());
+            if (!is_known) break;
+            const int64_t n = camera_model_num_params(models[static_cast<size_t>(camera)]);
+            size += n;
+            squared_size += n * n;
+        }
+        if (is_known) params.require_size(size);
+        if (is_known) covariances.require_size(squared_size);
+        check(clba_problem_set_intrinsics_priors(
+            object_, detail::count32(cameras.count(), "priors"), cameras.data(), cameras.stride(),
+            params.data(), params.stride(), covariances.data(), covariances.stride()));
+    }
+    void set_point_priors(Rows<const int32_t, 1> points, Rows<const double, 3> positions,
+                          Rows<const double, 9> covariances) {
+        set_priors(clba_problem_set_point_priors, points, positions, covariances);
+    }
+    void set_relative_pose_priors(Rows<const int32_t, 2> pairs, Rows<const double, 7> poses,
+                                  Rows<const double, 36> covariances) {
+        set_priors(clba_problem_set_relative_pose_priors, pairs, poses, covariances);
+    }
+
     void set_loss(int32_t loss, double scale = 1) {
         check(clba_problem_set_loss(object_, loss, scale));
+    }
+
+    // -- Appending: the rows before keep their index
+
+    void add_cameras(Rows<const int32_t, 1> models, CameraRows<const double> params) {
+        int64_t size = 0;
+        for (int64_t i = 0; i < models.count(); ++i)
+            size += camera_model_num_params(value(models, i));
+        params.require_size(size);
+        check(clba_problem_add_cameras(object_, detail::count32(models.count(), "cameras"),
+                                       models.data(), models.stride(), params.data(),
+                                       params.stride()));
+    }
+    void add_images(Rows<const int32_t, 1> cameras, Rows<const double, 7> poses) {
+        detail::require_equal(poses.count(), cameras.count(), "poses", "camera indices");
+        check(clba_problem_add_images(object_, detail::count32(poses.count(), "images"),
+                                      cameras.data(), cameras.stride(), poses.data(),
+                                      poses.stride()));
+    }
+    void add_points(Rows<const double, 3> xyz) {
+        check(clba_problem_add_points(object_, detail::count32(xyz.count(), "points"), xyz.data(),
+                                      xyz.stride()));
+    }
+    // Without covariances: the identity.
+    void add_observations(Rows<const int32_t, 1> images, Rows<const int32_t, 1> points,
+                          Rows<const double, 2> xy, Rows<const double, 3> covariances = {}) {
+        detail::require_equal(images.count(), xy.count(), "image indices", "observations");
+        detail::require_equal(points.count(), xy.count(), "point indices", "observations");
+        if (covariances.data())
+            detail::require_equal(covariances.count(), xy.count(), "covariances", "observations");
+        check(clba_problem_add_observations(object_, xy.count(), images.data(), images.stride(),
+                                            points.data(), points.stride(), xy.data(), xy.stride(),
+                                            covariances.data(), covariances.stride()));
     }
 
     // -- Getters: everything, or rows from `first` on into the caller's memory
@@ -550,24 +824,57 @@ public:
                                             xy.data(), xy.stride()));
     }
 
+    // -- Removing outliers
+
+    std::vector<double> reprojection_errors(int32_t unit = CLBA_UNIT_PIXELS) const {
+        std::vector<double> errors(static_cast<size_t>(info().num_observations));
+        check(clba_problem_get_reprojection_errors(
+            object_, unit, 0, static_cast<int64_t>(errors.size()), errors.data(), 0));
+        return errors;
+    }
+    Removed filter(const FilterOptions& options = {}) {
+        return remove([&](clba_filter_report& report) {
+            return clba_problem_filter(object_, &options, &report);
+        });
+    }
+    Removed remove_observations(Rows<const int32_t, 1> flags, bool remove_points = false) {
+        return remove([&](clba_filter_report& report) {
+            return clba_problem_remove_observations(object_, flags.count(), flags.data(),
+                                                    flags.stride(), remove_points, &report);
+        });
+    }
+
     // -- Solving
 
     // on_iteration, if there is one, takes the place of the options' C callback.
     Result solve(const Context& context, const SolverOptions& options = {},
                  const IterationCallback& on_iteration = {}) {
-        clba_solver_options given = options;
-        Call call{on_iteration, nullptr};
-        if (on_iteration) {
-            given.on_iteration = &Call::enter;
-            given.user_data = &call;
-        }
-        clba_result* made = nullptr;
-        const clba_status status = clba_problem_solve(object_, context.get(), &given, &made);
-        Result result(made);
-        if (call.thrown) std::rethrow_exception(call.thrown);
-        check(status);
-        return result;
+        return solve_by(
+            [&](const clba_solver_options& given, clba_result** made) {
+                return clba_problem_solve(object_, context.get(), &given, made);
+            },
+            options, on_iteration);
     }
+    // Refines the window's part of the map and says in it what took part.
+    Result solve_window(const Context& context, Window& window, const SolverOptions& options = {},
+                        const IterationCallback& on_iteration = {}) {
+        return solve_by(
+            [&](const clba_solver_options& given, clba_result** made) {
+                return clba_problem_solve_window(object_, context.get(), &given, &window.fill(),
+                                                 made);
+            },
+            options, on_iteration);
+    }
+
+    // -- Covariances and gauge
+
+    // Of all poses and intrinsics, and of the points that the options ask for.
+    Covariance covariance(const Context& context, const CovarianceOptions& options = {}) {
+        clba_covariance* made = nullptr;
+        check(clba_problem_covariance(object_, context.get(), &options, &made));
+        return Covariance(made);
+    }
+    void fix_gauge(const GaugeTarget& target) { check(clba_problem_fix_gauge(object_, &target)); }
 
     // -- Evaluating
 
@@ -629,20 +936,60 @@ public:
     }
 
 private:
+    template <class Callback>
     struct Call {
-        const IterationCallback& callback;
+        const Callback& callback;
         std::exception_ptr thrown;
 
         static int32_t enter(const clba_iteration* row, void* user_data) noexcept {
+            return run(*row, user_data);
+        }
+        static int32_t enter(double fraction, void* user_data) noexcept {
+            return run(fraction, user_data);
+        }
+        template <class Argument>
+        static int32_t run(const Argument& argument, void* user_data) noexcept {
             Call& call = *static_cast<Call*>(user_data);
             try {
-                return call.callback(*row) == Next::stop;
+                return call.callback(argument) == Next::stop;
             } catch (...) {
                 call.thrown = std::current_exception();
                 return 1;
             }
         }
     };
+
+    template <class Run>
+    static Result solve_by(Run&& run, const SolverOptions& options,
+                           const IterationCallback& on_iteration) {
+        clba_solver_options given = options;
+        Call<IterationCallback> call{on_iteration, nullptr};
+        if (on_iteration) {
+            given.on_iteration = &Call<IterationCallback>::enter;
+            given.user_data = &call;
+        }
+        clba_result* made = nullptr;
+        const clba_status status = run(given, &made);
+        Result result(made);
+        if (call.thrown) std::rethrow_exception(call.thrown);
+        check(status);
+        return result;
+    }
+    template <class Run>
+    Removed remove(Run&& run) {
+        const ProblemInfo before = info();
+        Removed removed{detail::sized<clba_filter_report>(),
+                        std::vector<int64_t>(static_cast<size_t>(before.num_observations)),
+                        std::vector<int32_t>(static_cast<size_t>(before.num_points)),
+                        std::vector<int32_t>(static_cast<size_t>(before.num_images))};
+        removed.counts.observation_rows = removed.observation_rows.data();
+        removed.counts.point_rows = removed.point_rows.data();
+        removed.counts.unobserved_images = removed.unobserved_images.data();
+        check(run(removed.counts));
+        removed.counts.observation_rows = nullptr;
+        removed.counts.point_rows = removed.counts.unobserved_images = nullptr;
+        return removed;
+    }
 
     static int32_t value(Rows<const int32_t, 1> rows, int64_t i) {
         const size_t stride = rows.stride() ? rows.stride() : sizeof(int32_t);
@@ -651,6 +998,15 @@ private:
                     reinterpret_cast<const char*>(rows.data()) + static_cast<size_t>(i) * stride,
                     sizeof value);
         return value;
+    }
+    template <class Set, class Subjects, class Targets, class Covariances>
+    void set_priors(Set* set, const Subjects& subjects, const Targets& targets,
+                    const Covariances& covariances) {
+        detail::require_equal(targets.count(), subjects.count(), "targets", "priors");
+        detail::require_equal(covariances.count(), subjects.count(), "covariances", "priors");
+        check(set(object_, detail::count32(subjects.count(), "priors"), subjects.data(),
+                  subjects.stride(), targets.data(), targets.stride(), covariances.data(),
+                  covariances.stride()));
     }
     static int64_t num_params(const std::vector<int32_t>& models) {
         int64_t sum = 0;

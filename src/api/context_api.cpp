@@ -49,6 +49,7 @@ CLBA_SAME_STATUS(internal, CLBA_ERROR_INTERNAL)
 CLBA_SAME_STATUS(file, CLBA_ERROR_FILE)
 CLBA_SAME_STATUS(format, CLBA_ERROR_FORMAT)
 CLBA_SAME_STATUS(no_plugin, CLBA_ERROR_NO_PLUGIN)
+CLBA_SAME_STATUS(cancelled, CLBA_ERROR_CANCELLED)
 #undef CLBA_SAME_STATUS
 
 }  // namespace
@@ -91,6 +92,8 @@ const char* clba_status_string(clba_status status) {
             return "format error";
         case CLBA_ERROR_NO_PLUGIN:
             return "no plug-in";
+        case CLBA_ERROR_CANCELLED:
+            return "cancelled";
         default:
             return "unknown status";
     }

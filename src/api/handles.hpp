@@ -13,8 +13,9 @@
 #include "base/error.hpp"
 #include "clba/clba.h"
 #include "device/context.hpp"
+#include "io/formats.hpp"
 #include "linear/device_problem.hpp"
-#include "problem/problem.hpp"
+#include "problem/observation_index.hpp"
 
 struct clba_context {
     std::atomic<int> references{1};
@@ -23,10 +24,21 @@ struct clba_context {
 
 struct clba_problem {
     std::atomic<int> references{1};
-    clba::Problem problem;
+    clba::Reconstruction reconstruction;
+    clba::Problem& problem = reconstruction.problem;
+    clba::Format format = clba::Format::automatic;  // of the file it was read from, if it was
+    std::string notices;                            // those of the reconstruction, a line each
     // The problem on the device it was last used on; emptied when the structure changes. Keeps its
     // context alive.
     std::unique_ptr<clba::DeviceProblem> mirror;
+    // For windows; made by the first, and emptied as the mirror, but extended by appended rows.
+    std::unique_ptr<clba::ObservationIndex> index;
+};
+
+struct clba_cancellation {
+    std::atomic<int> references{1};
+    std::atomic<bool> is_requested{false};
+    static_assert(std::atomic<bool>::is_always_lock_free, "signal handlers may not lock");
 };
 
 struct clba_result {
@@ -67,6 +79,59 @@ clba_status guarded(Body&& body) noexcept {
 template <class Pointer>
 void require_pointer(Pointer* pointer, const char* name) {
     require(pointer != nullptr, name, " is NULL, but it must not be");
+}
+
+inline void require_count(int64_t count, int64_t expected, const char* rows) {
+    require(count == expected, "count = ", count, ", but there are ", expected, " ", rows);
+}
+
+inline void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
+    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
+            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
+}
+
+// What has changed of a problem, and so what of its mirror has to be made again.
+enum class Changed {
+    state,         // nothing
+    scales,        // constants and uncertainties
+    measurements,  // observations' values and covariances
+    rows_added,    // the mirror, but not the lists of observations
+    structure      // all
+};
+
+inline void note_change(clba_problem& handle, Changed change) {
+    if (change == Changed::rows_added) extend_infos(handle.reconstruction);
+    if (change == Changed::structure || change == Changed::rows_added) handle.mirror.reset();
+    if (change == Changed::structure) handle.index.reset();
+    if (change == Changed::rows_added && handle.index) {
+        try {
+            handle.index->extend(handle.problem);
+        } catch (const std::bad_alloc&) {
+            handle.index.reset();
+        }
+    }
+    if (!handle.mirror) return;
+    handle.mirror->is_stale.scales |= change == Changed::scales;
+    handle.mirror->is_stale.measurements |= change == Changed::measurements;
+}
+
+// Runs a change that checks everything before it touches the problem, and returns what it changed:
+// nothing says the structure, as true does; false only the state.
+template <class Change>
+clba_status changed(clba_problem* handle, Change&& change) {
+    return guarded([&] {
+        require_pointer(handle, "problem");
+        using Answer = decltype(change(handle->problem));
+        if constexpr (std::is_void_v<Answer>) {
+            change(handle->problem);
+            note_change(*handle, Changed::structure);
+        } else if constexpr (std::is_same_v<Answer, Changed>) {
+            note_change(*handle, change(handle->problem));
+        } else {
+            note_change(*handle, change(handle->problem) ? Changed::structure : Changed::state);
+        }
+        drop_mismatched(handle->reconstruction);
+    });
 }
 
 // The caller's struct as this version knows it: what the caller's version lacks has its default,

@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Problems: what they hold, files, generated scenes, comparison.
+// Problems: what they hold, generated scenes, comparison.
 #include <cmath>
 #include <limits>
 
 #include "api/handles.hpp"
-#include "io/bal.hpp"
-#include "io/ply.hpp"
 #include "problem/parameter_layout.hpp"
 #include "reference/compare.hpp"
 #include "reference/scene.hpp"
@@ -13,34 +11,155 @@
 namespace clba {
 namespace {
 
-void require_count(int64_t count, int64_t expected, const char* rows) {
-    require(count == expected, "count = ", count, ", but there are ", expected, " ", rows);
-}
-
-void require_range(int64_t first, int64_t count, int64_t num_rows, const char* rows) {
-    require(first >= 0 && count >= 0 && first <= num_rows - count, "rows [", first, ", ", first,
-            " + ", count, ") were asked for, but there are ", num_rows, " ", rows);
-}
-
 // Drops what belongs to observations when images or points are replaced by another number of them.
 void drop_observations(Problem& problem) {
     problem.observations.clear();
     problem.whitening.clear();
 }
 
-// Runs a change that checks everything before it touches the problem. The mirror on the device goes
-// unless the change returns false: only the state has changed.
-template <class Change>
-clba_status changed(clba_problem* handle, Change&& change) {
-    return guarded([&] {
-        require_pointer(handle, "problem");
-        if constexpr (std::is_void_v<decltype(change(handle->problem))>) {
-            change(handle->problem);
-            handle->mirror.reset();
-        } else if (change(handle->problem)) {
-            handle->mirror.reset();
+std::vector<Camera> read_cameras(int32_t count, const int32_t* models, size_t models_stride,
+                                 const double* params, size_t params_stride) {
+    require(count >= 0, "count = ", count, ", but it must be >= 0");
+    const Rows model_rows(models, models_stride, 1, "models", count);
+    std::vector<Camera> cameras(static_cast<size_t>(count));
+    size_t most_params = 0;
+    for (int32_t i = 0; i < count; ++i) {
+        cameras[i].model = model_rows.get(i);
+        require(is_camera_model(cameras[i].model), "models[", i, "] = ", cameras[i].model,
+                ", but the models are 0 to ", num_camera_models - 1);
+        most_params = std::max(most_params, static_cast<size_t>(cameras[i].num_params()));
+    }
+    if (count > 0) require_pointer(params, "params");
+    require(params_stride == 0 || params_stride >= most_params * sizeof(double),
+            "params has a stride of ", params_stride, " bytes, but a row has ",
+            most_params * sizeof(double));
+    const auto* row = reinterpret_cast<const unsigned char*>(params);
+    for (int32_t i = 0; i < count; ++i) {
+        const size_t bytes = static_cast<size_t>(cameras[i].num_params()) * sizeof(double);
+        std::memcpy(cameras[i].params.data(), row, bytes);
+        row += params_stride ? params_stride : bytes;
+        for (int k = 0; k < cameras[i].num_params(); ++k)
+            require(std::isfinite(cameras[i].params[k]), "params[", i, "][", k,
+                    "] = ", cameras[i].params[k], ", but it must be finite");
+    }
+    return cameras;
+}
+
+std::vector<Image> read_images(const Problem& p, int32_t count, const int32_t* camera_indices,
+                               size_t camera_stride, const double* poses, size_t poses_stride) {
+    require(count >= 0, "count = ", count, ", but it must be >= 0");
+    const Rows cameras(camera_indices, camera_stride, 1, "camera_indices", count);
+    const Rows rows(poses, poses_stride, 7, "poses", count);
+    std::vector<Image> images(static_cast<size_t>(count));
+    for (int32_t i = 0; i < count; ++i) {
+        Image& image = images[i];
+        image.camera = cameras.get(i);
+        require(image.camera >= 0 && image.camera < p.num_cameras(), "camera_indices[", i,
+                "] = ", image.camera, ", but num_cameras = ", p.num_cameras());
+        for (size_t k = 0; k < 7; ++k) {
+            const double value = rows.get(i, k);
+            require(std::isfinite(value), "poses[", i, "][", k, "] = ", value,
+                    ", but it must be finite");
+            (k < 4 ? image.pose.rotation[k] : image.pose.translation[k - 4]) = value;
         }
-    });
+        const auto& q = image.pose.rotation;
+        const double norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+        require(norm2 > 0 && std::isfinite(norm2), "poses[", i,
+                "] has a quaternion of squared norm ", norm2,
+                ", but it must be one that can be normalised");
+        image.pose.rotation = normalized(q);
+    }
+    return images;
+}
+
+std::vector<Point> read_points(int32_t count, const double* xyz, size_t stride) {
+    require(count >= 0, "count = ", count, ", but it must be >= 0");
+    const Rows rows(xyz, stride, 3, "xyz", count);
+    std::vector<Point> points(static_cast<size_t>(count));
+    for (int32_t i = 0; i < count; ++i) {
+        for (size_t k = 0; k < 3; ++k) {
+            points[i][k] = rows.get(i, k);
+            require(std::isfinite(points[i][k]), "xyz[", i, "][", k, "] = ", points[i][k],
+                    ", but it must be finite");
+        }
+    }
+    return points;
+}
+
+std::vector<Observation> read_observations(const Problem& p, int64_t count, const int32_t* images,
+                                           size_t images_stride, const int32_t* points,
+                                           size_t points_stride, const double* xy,
+                                           size_t xy_stride) {
+    require(count >= 0, "count = ", count, ", but it must be >= 0");
+    const Rows image_rows(images, images_stride, 1, "images", count);
+    const Rows point_rows(points, points_stride, 1, "points", count);
+    const Rows xy_rows(xy, xy_stride, 2, "xy", count);
+    std::vector<Observation> observations(static_cast<size_t>(count));
+    for (int64_t i = 0; i < count; ++i) {
+        Observation& o = observations[i];
+        o = {image_rows.get(i), point_rows.get(i), xy_rows.get(i, 0), xy_rows.get(i, 1)};
+        require(o.image >= 0 && o.image < p.num_images(), "images[", i, "] = ", o.image,
+                ", but num_images = ", p.num_images());
+        require(o.point >= 0 && o.point < p.num_points(), "points[", i, "] = ", o.point,
+                ", but num_points = ", p.num_points());
+        require(std::isfinite(o.x) && std::isfinite(o.y), "xy[", i, "] = (", o.x, ", ", o.y,
+                "), but it must be finite");
+    }
+    return observations;
+}
+
+// As whitening.
+std::vector<std::array<double, 3>> read_covariances(int64_t count, const double* covariances,
+                                                    size_t stride) {
+    const Rows rows(covariances, stride, 3, "covariances", count);
+    std::vector<std::array<double, 3>> whitening(static_cast<size_t>(count));
+    for (int64_t i = 0; i < count; ++i) {
+        const double xx = rows.get(i, 0), xy = rows.get(i, 1), yy = rows.get(i, 2);
+        // L = [l00, 0; l10, l11] and its inverse.
+        const double l00 = std::sqrt(xx), l10 = xy / l00;
+        const double rest = yy - l10 * l10;
+        require(xx > 0 && rest > 0 && std::isfinite(xx + yy), "covariances[", i, "] = (", xx, ", ",
+                xy, ", ", yy, "), but xx, xy, yy must make a positive definite matrix");
+        const double l11 = std::sqrt(rest);
+        whitening[i] = {1 / l00, -l10 / (l00 * l11), 1 / l11};
+    }
+    return whitening;
+}
+
+// Makes room for so many more rows, so that appending them cannot fail; amortised.
+template <class Row>
+void make_room(std::vector<Row>& rows, size_t count) {
+    if (rows.capacity() - rows.size() < count)
+        rows.reserve(std::max(2 * rows.capacity(), rows.size() + count));
+}
+
+template <class Row>
+void append(const std::vector<Row>& from, std::vector<Row>& to) {
+    to.insert(to.end(), from.begin(), from.end());
+}
+
+void require_room(int64_t present, int64_t count, const char* rows) {
+    require(count <= std::numeric_limits<int32_t>::max() - present, "count = ", count,
+            ", but with ", present, " ", rows, " there is room for ",
+            std::numeric_limits<int32_t>::max() - present, " more");
+}
+
+// Rows of an optional array that has some.
+template <class Row>
+void make_optional_room(std::vector<Row>& rows, size_t count) {
+    if (!rows.empty()) make_room(rows, count);
+}
+template <class Row>
+void append_optional(std::vector<Row>& rows, size_t count, const Row& value) {
+    if (!rows.empty()) rows.insert(rows.end(), count, value);
+}
+
+// A row of uncertainties.
+template <class Row>
+Row filled_with_ones(const std::vector<Row>&) {
+    Row ones;
+    ones.fill(1.0);
+    return ones;
 }
 
 clba_scene_options default_scene_options() {
@@ -129,29 +248,8 @@ clba_status clba_problem_set_cameras(clba_problem* problem, int32_t count, const
                                      size_t models_stride, const double* params,
                                      size_t params_stride) {
     return changed(problem, [&](Problem& p) {
-        require(count >= 0, "count = ", count, ", but it must be >= 0");
-        const Rows model_rows(models, models_stride, 1, "models", count);
-        std::vector<Camera> cameras(static_cast<size_t>(count));
-        size_t most_params = 0;
-        for (int32_t i = 0; i < count; ++i) {
-            cameras[i].model = model_rows.get(i);
-            require(is_camera_model(cameras[i].model), "models[", i, "] = ", cameras[i].model,
-                    ", but the models are 0 to ", num_camera_models - 1);
-            most_params = std::max(most_params, static_cast<size_t>(cameras[i].num_params()));
-        }
-        if (count > 0) require_pointer(params, "params");
-        require(params_stride == 0 || params_stride >= most_params * sizeof(double),
-                "params has a stride of ", params_stride, " bytes, but a row has ",
-                most_params * sizeof(double));
-        const auto* row = reinterpret_cast<const unsigned char*>(params);
-        for (int32_t i = 0; i < count; ++i) {
-            const size_t bytes = static_cast<size_t>(cameras[i].num_params()) * sizeof(double);
-            std::memcpy(cameras[i].params.data(), row, bytes);
-            row += params_stride ? params_stride : bytes;
-            for (int k = 0; k < cameras[i].num_params(); ++k)
-                require(std::isfinite(cameras[i].params[k]), "params[", i, "][", k,
-                        "] = ", cameras[i].params[k], ", but it must be finite");
-        }
+        std::vector<Camera> cameras =
+            read_cameras(count, models, models_stride, params, params_stride);
         const bool is_same_number = cameras.size() == p.cameras.size();
         for (size_t i = 0; i < p.images.size(); ++i)
             require(is_same_number || p.images[i].camera < count, "images[", i,
@@ -166,6 +264,7 @@ clba_status clba_problem_set_cameras(clba_problem* problem, int32_t count, const
             !is_same_number ||
             !std::equal(cameras.begin(), cameras.end(), p.cameras.begin(),
                         [](const Camera& a, const Camera& b) { return a.model == b.model; });
+        if (is_other_structure) p.priors.intrinsics.clear();
         p.cameras = std::move(cameras);
         return is_other_structure;
     });
@@ -175,32 +274,15 @@ clba_status clba_problem_set_images(clba_problem* problem, int32_t count,
                                     const int32_t* camera_indices, size_t camera_stride,
                                     const double* poses, size_t poses_stride) {
     return changed(problem, [&](Problem& p) {
-        require(count >= 0, "count = ", count, ", but it must be >= 0");
-        const Rows cameras(camera_indices, camera_stride, 1, "camera_indices", count);
-        const Rows rows(poses, poses_stride, 7, "poses", count);
-        std::vector<Image> images(static_cast<size_t>(count));
-        for (int32_t i = 0; i < count; ++i) {
-            Image& image = images[i];
-            image.camera = cameras.get(i);
-            require(image.camera >= 0 && image.camera < p.num_cameras(), "camera_indices[", i,
-                    "] = ", image.camera, ", but num_cameras = ", p.num_cameras());
-            for (size_t k = 0; k < 7; ++k) {
-                const double value = rows.get(i, k);
-                require(std::isfinite(value), "poses[", i, "][", k, "] = ", value,
-                        ", but it must be finite");
-                (k < 4 ? image.pose.rotation[k] : image.pose.translation[k - 4]) = value;
-            }
-            const auto& q = image.pose.rotation;
-            const double norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-            require(norm2 > 0 && std::isfinite(norm2), "poses[", i,
-                    "] has a quaternion of squared norm ", norm2,
-                    ", but it must be one that can be normalised");
-            image.pose.rotation = normalized(q);
-        }
+        std::vector<Image> images =
+            read_images(p, count, camera_indices, camera_stride, poses, poses_stride);
         if (images.size() != p.images.size()) {
             drop_observations(p);
             p.constant_images.clear();
             p.image_uncertainties.clear();
+            p.priors.positions.clear();
+            p.priors.poses.clear();
+            p.priors.relative_poses.clear();
         }
         const bool is_other_structure =
             !std::equal(images.begin(), images.end(), p.images.begin(), p.images.end(),
@@ -213,21 +295,13 @@ clba_status clba_problem_set_images(clba_problem* problem, int32_t count,
 clba_status clba_problem_set_points(clba_problem* problem, int32_t count, const double* xyz,
                                     size_t stride) {
     return changed(problem, [&](Problem& p) {
-        require(count >= 0, "count = ", count, ", but it must be >= 0");
-        const Rows rows(xyz, stride, 3, "xyz", count);
-        std::vector<Point> points(static_cast<size_t>(count));
-        for (int32_t i = 0; i < count; ++i) {
-            for (size_t k = 0; k < 3; ++k) {
-                points[i][k] = rows.get(i, k);
-                require(std::isfinite(points[i][k]), "xyz[", i, "][", k, "] = ", points[i][k],
-                        ", but it must be finite");
-            }
-        }
+        std::vector<Point> points = read_points(count, xyz, stride);
         const bool is_other_structure = points.size() != p.points.size();
         if (is_other_structure) {
             drop_observations(p);
             p.constant_points.clear();
             p.point_uncertainties.clear();
+            p.priors.points.clear();
         }
         p.points = std::move(points);
         return is_other_structure;
@@ -239,23 +313,18 @@ clba_status clba_problem_set_observations(clba_problem* problem, int64_t count,
                                           const int32_t* points, size_t points_stride,
                                           const double* xy, size_t xy_stride) {
     return changed(problem, [&](Problem& p) {
-        require(count >= 0, "count = ", count, ", but it must be >= 0");
-        const Rows image_rows(images, images_stride, 1, "images", count);
-        const Rows point_rows(points, points_stride, 1, "points", count);
-        const Rows xy_rows(xy, xy_stride, 2, "xy", count);
-        std::vector<Observation> observations(static_cast<size_t>(count));
-        for (int64_t i = 0; i < count; ++i) {
-            Observation& o = observations[i];
-            o = {image_rows.get(i), point_rows.get(i), xy_rows.get(i, 0), xy_rows.get(i, 1)};
-            require(o.image >= 0 && o.image < p.num_images(), "images[", i, "] = ", o.image,
-                    ", but num_images = ", p.num_images());
-            require(o.point >= 0 && o.point < p.num_points(), "points[", i, "] = ", o.point,
-                    ", but num_points = ", p.num_points());
-            require(std::isfinite(o.x) && std::isfinite(o.y), "xy[", i, "] = (", o.x, ", ", o.y,
-                    "), but it must be finite");
-        }
+        std::vector<Observation> observations = read_observations(
+            p, count, images, images_stride, points, points_stride, xy, xy_stride);
+        const bool is_same_structure =
+            std::equal(observations.begin(), observations.end(), p.observations.begin(),
+                       p.observations.end(), [](const Observation& a, const Observation& b) {
+                           return a.image == b.image && a.point == b.point;
+                       });
         p.observations = std::move(observations);
         p.whitening.clear();
+        problem->reconstruction.observation_features.clear();
+        problem->reconstruction.unmatched.clear();
+        return is_same_structure ? Changed::measurements : Changed::structure;
     });
 }
 
@@ -263,19 +332,8 @@ clba_status clba_problem_set_covariances(clba_problem* problem, int64_t count,
                                          const double* covariances, size_t stride) {
     return changed(problem, [&](Problem& p) {
         if (count != 0) require_count(count, p.num_observations(), "observations");
-        const Rows rows(covariances, stride, 3, "covariances", count);
-        std::vector<std::array<double, 3>> whitening(static_cast<size_t>(count));
-        for (int64_t i = 0; i < count; ++i) {
-            const double xx = rows.get(i, 0), xy = rows.get(i, 1), yy = rows.get(i, 2);
-            // L = [l00, 0; l10, l11] and its inverse.
-            const double l00 = std::sqrt(xx), l10 = xy / l00;
-            const double rest = yy - l10 * l10;
-            require(xx > 0 && rest > 0 && std::isfinite(xx + yy), "covariances[", i, "] = (", xx,
-                    ", ", xy, ", ", yy, "), but xx, xy, yy must make a positive definite matrix");
-            const double l11 = std::sqrt(rest);
-            whitening[i] = {1 / l00, -l10 / (l00 * l11), 1 / l11};
-        }
-        p.whitening = std::move(whitening);
+        p.whitening = read_covariances(count, covariances, stride);
+        return Changed::measurements;
     });
 }
 
@@ -292,6 +350,84 @@ clba_status clba_problem_set_sigmas(clba_problem* problem, int64_t count, const 
             whitening[i] = {1 / sigma, 0, 1 / sigma};
         }
         p.whitening = std::move(whitening);
+        return Changed::measurements;
+    });
+}
+
+clba_status clba_problem_add_cameras(clba_problem* problem, int32_t count, const int32_t* models,
+                                     size_t models_stride, const double* params,
+                                     size_t params_stride) {
+    return changed(problem, [&](Problem& p) {
+        const std::vector<Camera> cameras =
+            read_cameras(count, models, models_stride, params, params_stride);
+        require_room(p.num_cameras(), count, "cameras");
+        make_room(p.cameras, cameras.size());
+        make_optional_room(p.constant_cameras, cameras.size());
+        make_optional_room(p.camera_uncertainties, cameras.size());
+        append(cameras, p.cameras);
+        append_optional(p.constant_cameras, cameras.size(), uint32_t{0});
+        append_optional(p.camera_uncertainties, cameras.size(),
+                        filled_with_ones(p.camera_uncertainties));
+        return Changed::rows_added;
+    });
+}
+
+clba_status clba_problem_add_images(clba_problem* problem, int32_t count,
+                                    const int32_t* camera_indices, size_t camera_stride,
+                                    const double* poses, size_t poses_stride) {
+    return changed(problem, [&](Problem& p) {
+        const std::vector<Image> images =
+            read_images(p, count, camera_indices, camera_stride, poses, poses_stride);
+        require_room(p.num_images(), count, "images");
+        make_room(p.images, images.size());
+        make_optional_room(p.constant_images, images.size());
+        make_optional_room(p.image_uncertainties, images.size());
+        append(images, p.images);
+        append_optional(p.constant_images, images.size(), uint8_t{0});
+        append_optional(p.image_uncertainties, images.size(),
+                        filled_with_ones(p.image_uncertainties));
+        return Changed::rows_added;
+    });
+}
+
+clba_status clba_problem_add_points(clba_problem* problem, int32_t count, const double* xyz,
+                                    size_t stride) {
+    return changed(problem, [&](Problem& p) {
+        const std::vector<Point> points = read_points(count, xyz, stride);
+        require_room(p.num_points(), count, "points");
+        make_room(p.points, points.size());
+        make_optional_room(p.constant_points, points.size());
+        make_optional_room(p.point_uncertainties, points.size());
+        append(points, p.points);
+        append_optional(p.constant_points, points.size(), uint8_t{0});
+        append_optional(p.point_uncertainties, points.size(),
+                        filled_with_ones(p.point_uncertainties));
+        return Changed::rows_added;
+    });
+}
+
+clba_status clba_problem_add_observations(clba_problem* problem, int64_t count,
+                                          const int32_t* images, size_t images_stride,
+                                          const int32_t* points, size_t points_stride,
+                                          const double* xy, size_t xy_stride,
+                                          const double* covariances, size_t covariances_stride) {
+    return changed(problem, [&](Problem& p) {
+        const std::vector<Observation> observations = read_observations(
+            p, count, images, images_stride, points, points_stride, xy, xy_stride);
+        constexpr std::array<double, 3> identity{1, 0, 1};
+        const bool is_whitened = covariances || !p.whitening.empty();
+        std::vector<std::array<double, 3>> whitening;
+        if (covariances)
+            whitening = read_covariances(count, covariances, covariances_stride);
+        else if (is_whitened)
+            whitening.assign(observations.size(), identity);
+        make_room(p.observations, observations.size());
+        if (is_whitened)
+            make_room(p.whitening, p.observations.size() - p.whitening.size() + whitening.size());
+        if (is_whitened) p.whitening.resize(p.observations.size(), identity);
+        append(observations, p.observations);
+        append(whitening, p.whitening);
+        return Changed::rows_added;
     });
 }
 
@@ -401,6 +537,7 @@ clba_status clba_problem_set_constant_images(clba_problem* problem, int32_t coun
             constant[i] = static_cast<uint8_t>(flag);
         }
         p.constant_images = std::move(constant);
+        return Changed::scales;
     });
 }
 
@@ -417,6 +554,7 @@ clba_status clba_problem_set_constant_cameras(clba_problem* problem, int32_t cou
             constant[i] = static_cast<uint32_t>(flag);
         }
         p.constant_cameras = std::move(constant);
+        return Changed::scales;
     });
 }
 
@@ -428,6 +566,7 @@ clba_status clba_problem_set_constant_points(clba_problem* problem, int32_t coun
         std::vector<uint8_t> constant(static_cast<size_t>(count));
         for (int32_t i = 0; i < count; ++i) constant[i] = rows.get(i) != 0;
         p.constant_points = std::move(constant);
+        return Changed::scales;
     });
 }
 
@@ -455,6 +594,7 @@ clba_status clba_problem_set_image_uncertainties(clba_problem* problem, int32_t 
         for (int32_t i = 0; i < count; ++i)
             read_uncertainty(rows, i, i, num_pose_params, uncertainties[i]);
         p.image_uncertainties = std::move(uncertainties);
+        return Changed::scales;
     });
 }
 
@@ -476,6 +616,7 @@ clba_status clba_problem_set_camera_uncertainties(clba_problem* problem, int32_t
             row += stride ? stride : width * sizeof(double);
         }
         p.camera_uncertainties = std::move(uncertainties);
+        return Changed::scales;
     });
 }
 
@@ -487,6 +628,7 @@ clba_status clba_problem_set_point_uncertainties(clba_problem* problem, int32_t 
         std::vector<std::array<double, 3>> uncertainties(static_cast<size_t>(count));
         for (int32_t i = 0; i < count; ++i) read_uncertainty(rows, i, i, 3, uncertainties[i]);
         p.point_uncertainties = std::move(uncertainties);
+        return Changed::scales;
     });
 }
 
@@ -547,31 +689,6 @@ clba_status clba_problem_compare(const clba_problem* a, const clba_problem* b,
         out.median_point_distance = internal.median_point_distance;
         out.extent = internal.extent;
         copy_out(out, comparison, "comparison");
-    });
-}
-
-clba_status clba_problem_read_bal(const char* path, clba_problem** problem) {
-    if (problem) *problem = nullptr;
-    return guarded([&] {
-        require_pointer(path, "path");
-        require_pointer(problem, "problem");
-        *problem = new_problem(read_bal(path));
-    });
-}
-
-clba_status clba_problem_write_bal(const clba_problem* problem, const char* path) {
-    return guarded([&] {
-        require_pointer(problem, "problem");
-        require_pointer(path, "path");
-        write_bal(problem->problem, path);
-    });
-}
-
-clba_status clba_problem_write_ply(const clba_problem* problem, const char* path) {
-    return guarded([&] {
-        require_pointer(problem, "problem");
-        require_pointer(path, "path");
-        write_ply(problem->problem, path);
     });
 }
 

@@ -47,6 +47,8 @@ const char* reason_name(int32_t reason) {
             return "callback";
         case CLBA_REASON_NOTHING_TO_DO:
             return "nothing_to_do";
+        case CLBA_REASON_CANCELLED:
+            return "cancelled";
     }
     return "unknown";
 }
@@ -127,10 +129,17 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
     append(text, "  final                      %.9e\n", s.final_cost);
     append(text, "  final, by the reference    %.9e\n", s.reference_final_cost);
     append(text, "  change                     %.9e\n", s.initial_cost - s.final_cost);
+    if (s.initial_prior_cost > 0 || s.final_prior_cost > 0) {
+        append(text, "  of priors, initial         %.9e\n", s.initial_prior_cost);
+        append(text, "  of priors, final           %.9e\n", s.final_prior_cost);
+    }
     if (!rows.empty())
         append(text, "  final max norm of gradient %.3e\n", rows.back().gradient_max_norm);
 
-    append(text, "\nIterations                   %d\n", s.num_iterations);
+    append(text, "\nGauge                        %s%s", clba_gauge_state_name(s.gauge),
+           s.num_gauge_freedoms > 0 ? "" : "\n");
+    if (s.num_gauge_freedoms > 0) append(text, " in %d of 7 directions\n", s.num_gauge_freedoms);
+    append(text, "Iterations                   %d\n", s.num_iterations);
     append(text, "  accepted steps             %d\n", s.num_accepted_steps);
     append(text, "  rejected steps             %d\n", s.num_rejected_steps);
     append(text, "  invalid steps              %d\n", s.num_invalid_steps);
@@ -161,6 +170,12 @@ std::string report_text(const clba_summary& s, const std::vector<clba_iteration>
         share("the rest of the host", s.host_seconds);
     }
 
+    if (s.resumed_iteration > 0)
+        append(text, "\nResumed after iteration      %d\n", s.resumed_iteration);
+    if (s.num_checkpoints > 0 || s.checkpoint_error[0])
+        append(text, "\nCheckpoints written          %d\n", s.num_checkpoints);
+    if (s.checkpoint_error[0])
+        append(text, "  one was not                %s\n", s.checkpoint_error);
     append(text, "\nPeak device memory           %.1f MiB\n",
            static_cast<double>(s.peak_device_bytes) / (1 << 20));
     append(text, "Termination                  %s, %s\n", termination_name(s.termination),
@@ -189,6 +204,10 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     json.add("initial_cost", s.initial_cost);
     json.add("final_cost", s.final_cost);
     json.add("reference_final_cost", s.reference_final_cost);
+    json.add("initial_prior_cost", s.initial_prior_cost);
+    json.add("final_prior_cost", s.final_prior_cost);
+    json.add("gauge", clba_gauge_state_name(s.gauge));
+    json.add("num_gauge_freedoms", s.num_gauge_freedoms);
     json.add("num_iterations", s.num_iterations);
     json.add("num_accepted_steps", s.num_accepted_steps);
     json.add("num_rejected_steps", s.num_rejected_steps);
@@ -206,6 +225,9 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
     for (const NamedSeconds& time : device_times(s)) json.add(time.field, time.seconds);
     json.add("factorization_seconds", s.factorization_seconds);
     json.add("host_seconds", s.host_seconds);
+    json.add("resumed_iteration", s.resumed_iteration);
+    json.add("num_checkpoints", s.num_checkpoints);
+    json.add("checkpoint_error", s.checkpoint_error);
     json.begin_array("iterations");
     for (const clba_iteration& row : rows) {
         json.begin_object();
@@ -221,6 +243,8 @@ std::string report_json(const clba_summary& s, const std::vector<clba_iteration>
         json.add("linear_solver_iterations", row.linear_solver_iterations);
         json.add("num_behind", row.num_behind);
         json.add("seconds", row.seconds);
+        json.add("remaining_iterations", row.remaining_iterations);
+        json.add("remaining_seconds", row.remaining_seconds);
         json.end_object();
     }
     json.end_array();

@@ -5,11 +5,13 @@
 #include <numeric>
 
 #include "api/handles.hpp"
+#include "api/mirror.hpp"
 #include "api/report.hpp"
 #include "linear/direct_solver.hpp"
 #include "linear/normal_equations.hpp"
 #include "optimizer/evaluator.hpp"
 #include "optimizer/solve.hpp"
+#include "problem/subproblem.hpp"
 
 namespace clba {
 namespace {
@@ -37,6 +39,7 @@ clba_solver_options default_solver_options() {
     options.parameter_tolerance = defaults.parameter_tolerance;
     options.target_cost = defaults.target_cost;
     options.max_seconds = defaults.max_seconds;
+    options.checkpoint_every = defaults.checkpoint_every;
     return options;
 }
 
@@ -124,6 +127,12 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
             ", but it must be <= max_damping_diagonal = ", given.max_damping_diagonal);
     require(given.eta >= 0 && given.eta < 1, "eta = ", given.eta,
             ", but it must be in (0, 1), or 0 for the default");
+    require_at_least("checkpoint_every", given.checkpoint_every, 0);
+    require(given.reserved == 0, "reserved = ", given.reserved, ", but it must be 0");
+    require(!given.checkpoint_path || *given.checkpoint_path,
+            "checkpoint_path is empty, but it must name a file, or be NULL");
+    require(!given.resume_path || *given.resume_path,
+            "resume_path is empty, but it must name a file, or be NULL");
 
     MinimizerOptions options;
     options.linear_solver.kind = static_cast<LinearSolverKind>(given.linear_solver);
@@ -147,6 +156,10 @@ MinimizerOptions minimizer_options(const clba_solver_options& given) {
     options.parameter_tolerance = given.parameter_tolerance;
     options.target_cost = given.target_cost;
     options.max_seconds = given.max_seconds;
+    if (given.cancellation) options.cancelled = &given.cancellation->is_requested;
+    if (given.checkpoint_path) options.checkpoint_path = given.checkpoint_path;
+    if (given.resume_path) options.resume_path = given.resume_path;
+    options.checkpoint_every = given.checkpoint_every;
     return options;
 }
 
@@ -165,6 +178,8 @@ clba_iteration public_row(const IterationRow& row) {
     out.gain_ratio = row.gain_ratio;
     out.trust_region_radius = row.trust_region_radius;
     out.seconds = row.seconds;
+    out.remaining_iterations = row.remaining_iterations;
+    out.remaining_seconds = row.remaining_seconds;
     return out;
 }
 
@@ -222,8 +237,29 @@ clba_summary public_summary(const Summary& summary, const clba_solver_options& g
         out.host_seconds = summary.total_seconds - summary.build_seconds -
                            summary.factorization_seconds - device_seconds;
     copy_text(summary.choice, out.choice);
+    out.resumed_iteration = summary.resumed_iteration;
+    out.num_checkpoints = summary.num_checkpoints;
+    copy_text(summary.checkpoint_error, out.checkpoint_error);
+    out.gauge = static_cast<int32_t>(summary.gauge.gauge);
+    out.num_gauge_freedoms = summary.gauge.num_freedoms;
+    out.initial_prior_cost = summary.initial_prior_cost;
+    out.final_prior_cost = summary.final_prior_cost;
     return out;
 }
+
+// Keeps a cancellation while a solve looks at it.
+class CancellationReference {
+public:
+    explicit CancellationReference(clba_cancellation* cancellation) : cancellation_(cancellation) {
+        if (cancellation_) ++cancellation_->references;
+    }
+    ~CancellationReference() { clba_cancellation_release(cancellation_); }
+    CancellationReference(const CancellationReference&) = delete;
+    CancellationReference& operator=(const CancellationReference&) = delete;
+
+private:
+    clba_cancellation* cancellation_;
+};
 
 std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solver_options& given) {
     auto result = std::make_unique<clba_result>();
@@ -234,23 +270,56 @@ std::unique_ptr<clba_result> make_result(const Summary& summary, const clba_solv
     return result;
 }
 
+// The caller's options of a solve, checked.
+struct Request {
+    Request(const clba_solver_options* caller, const Context& context)
+        : given(copied_in(caller, default_solver_options(), "options")),
+          cancellation(given.cancellation),
+          options(minimizer_options(given)),
+          precision(used_precision(given.precision, context)) {
+        if (given.on_iteration)
+            options.on_iteration = [this](const IterationRow& row) {
+                const clba_iteration out = public_row(row);
+                return given.on_iteration(&out, given.user_data) == 0;
+            };
+    }
+    Request(const Request&) = delete;
+    Request& operator=(const Request&) = delete;
+
+    const clba_solver_options given;
+    const CancellationReference cancellation;
+    MinimizerOptions options;
+    const Precision precision;
+};
+
+clba_window default_window() {
+    clba_window window{};
+    window.struct_size = sizeof window;
+    return window;
+}
+
+Window window_of(const clba_window& given) {
+    require(given.num_images >= 0, "window.num_images = ", given.num_images,
+            ", but it must be >= 0");
+    require(given.num_points >= 0, "window.num_points = ", given.num_points,
+            ", but it must be >= 0");
+    require(given.points || given.num_points == 0,
+            "window.points is NULL, but window.num_points = ", given.num_points);
+    if (given.num_images > 0) require_pointer(given.images, "window.images");
+    Window window;
+    window.images.assign(given.images, given.images + given.num_images);
+    window.all_points = !given.points;
+    if (given.points) window.points.assign(given.points, given.points + given.num_points);
+    window.refine_shared_cameras = given.refine_shared_cameras != 0;
+    return window;
+}
+
 clba_evaluation default_evaluation() {
     clba_evaluation evaluation{};
     evaluation.struct_size = sizeof evaluation;
     evaluation.precision = CLBA_PRECISION_DOUBLE;
     evaluation.apply_loss = 1;
     return evaluation;
-}
-
-// A problem that has been used leaves its mirror behind for the next call, unless that call failed.
-template <class Body>
-void with_mirror(clba_problem* handle, clba_context* context, Precision precision, Body&& body) {
-    try {
-        body(mirror(handle->problem, context->context, precision, handle->mirror));
-    } catch (...) {
-        handle->mirror.reset();
-        throw;
-    }
 }
 
 // One array of 2 rows of REAL in slots, from or to observations x 2 of the caller's.
@@ -441,6 +510,50 @@ const char* clba_jacobian_name(int32_t jacobian) {
     }
 }
 
+clba_status clba_cancellation_create(clba_cancellation** cancellation) {
+    if (cancellation) *cancellation = nullptr;
+    return guarded([&] {
+        require_pointer(cancellation, "cancellation");
+        *cancellation = new clba_cancellation();
+    });
+}
+
+clba_status clba_cancellation_retain(clba_cancellation* cancellation) {
+    return guarded([&] {
+        require_pointer(cancellation, "cancellation");
+        ++cancellation->references;
+    });
+}
+
+void clba_cancellation_release(clba_cancellation* cancellation) {
+    if (cancellation && --cancellation->references == 0) delete cancellation;
+}
+
+void clba_cancellation_request(clba_cancellation* cancellation) {
+    if (cancellation) cancellation->is_requested = true;
+}
+
+void clba_cancellation_reset(clba_cancellation* cancellation) {
+    if (cancellation) cancellation->is_requested = false;
+}
+
+int32_t clba_cancellation_is_requested(const clba_cancellation* cancellation) {
+    return cancellation && cancellation->is_requested;
+}
+
+const char* clba_gauge_state_name(int32_t gauge) {
+    switch (gauge) {
+        case CLBA_GAUGE_STATE_FREE:
+            return "free";
+        case CLBA_GAUGE_STATE_FIXED_BY_CONSTANTS:
+            return "fixed_by_constants";
+        case CLBA_GAUGE_STATE_FIXED_BY_PRIORS:
+            return "fixed_by_priors";
+        default:
+            return nullptr;
+    }
+}
+
 clba_status clba_solver_options_init(clba_solver_options* options, size_t struct_size) {
     return guarded([&] { init_struct(options, struct_size, default_solver_options(), "options"); });
 }
@@ -451,22 +564,47 @@ clba_status clba_problem_solve(clba_problem* problem, clba_context* context,
     return guarded([&] {
         require_pointer(problem, "problem");
         require_pointer(context, "context");
-        const clba_solver_options given = copied_in(options, default_solver_options(), "options");
-        MinimizerOptions internal = minimizer_options(given);
-        const Precision precision = used_precision(given.precision, *context->context);
-        if (given.on_iteration)
-            internal.on_iteration = [&given](const IterationRow& row) {
-                const clba_iteration out = public_row(row);
-                return given.on_iteration(&out, given.user_data) == 0;
-            };
+        const Request request(options, *context->context);
         try {
-            const Summary summary =
-                solve(problem->problem, context->context, internal, precision, problem->mirror);
-            if (result) *result = make_result(summary, given).release();
+            const Summary summary = solve(problem->problem, context->context, request.options,
+                                          request.precision, problem->mirror);
+            if (result) *result = make_result(summary, request.given).release();
         } catch (...) {
             problem->mirror.reset();
             throw;
         }
+    });
+}
+
+clba_status clba_window_init(clba_window* window, size_t struct_size) {
+    return guarded([&] { init_struct(window, struct_size, default_window(), "window"); });
+}
+
+clba_status clba_problem_solve_window(clba_problem* problem, clba_context* context,
+                                      const clba_solver_options* options, clba_window* window,
+                                      clba_result** result) {
+    if (result) *result = nullptr;
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        require_pointer(context, "context");
+        require_pointer(window, "window");
+        clba_window described = copied_in(window, default_window(), "window");
+        const Request request(options, *context->context);
+        require(
+            !request.given.checkpoint_path && !request.given.resume_path,
+            "checkpoint_path and resume_path are for solves of whole problems; leave them NULL");
+        if (!problem->index) problem->index = std::make_unique<ObservationIndex>(problem->problem);
+        Subproblem part = extract(problem->problem, *problem->index, window_of(described));
+        std::unique_ptr<DeviceProblem> device;
+        const Summary summary =
+            solve(part.problem, context->context, request.options, request.precision, device);
+        auto made = result ? make_result(summary, request.given) : nullptr;
+        write_state_back(part, problem->problem);
+        described.num_free_points = part.num_free_points;
+        described.num_constant_images = part.num_constant_images;
+        described.num_observations = part.problem.num_observations();
+        copy_out(described, window, "window");
+        if (result) *result = made.release();
     });
 }
 

@@ -35,12 +35,12 @@ AtomicFile::AtomicFile(std::string path) : path_(std::move(path)) {
         fail(Status::file, "cannot write ", path_, ": ", std::strerror(reason),
              "; its folder must exist and be writable");
     }
+    has_temporary_ = true;
 }
 
 AtomicFile::~AtomicFile() {
-    if (!file_) return;
-    std::fclose(file_);
-    ::unlink(temporary_.c_str());
+    if (file_) std::fclose(file_);
+    if (has_temporary_) ::unlink(temporary_.c_str());
 }
 
 void AtomicFile::write(std::string_view bytes) {
@@ -48,16 +48,19 @@ void AtomicFile::write(std::string_view bytes) {
         fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno));
 }
 
-void AtomicFile::commit() {
+void AtomicFile::finish() {
+    if (!file_) return;
     if (std::fflush(file_) != 0 || ::fsync(::fileno(file_)) != 0)
         fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno));
     std::fclose(file_);
     file_ = nullptr;
-    if (std::rename(temporary_.c_str(), path_.c_str()) != 0) {
-        const int reason = errno;
-        ::unlink(temporary_.c_str());
-        fail(Status::file, "cannot write ", path_, ": ", std::strerror(reason));
-    }
+}
+
+void AtomicFile::commit() {
+    finish();
+    if (std::rename(temporary_.c_str(), path_.c_str()) != 0)
+        fail(Status::file, "cannot write ", path_, ": ", std::strerror(errno));
+    has_temporary_ = false;
 }
 
 }  // namespace clba

@@ -19,12 +19,14 @@ public:
     AtomicFile& operator=(const AtomicFile&) = delete;
 
     void write(std::string_view bytes);
-    void commit();  // flushes to disk, closes, renames
+    void finish();  // flushes to disk and closes: what can fail has been done, but not the renaming
+    void commit();  // finishes and renames
 
 private:
     std::string path_;
     std::string temporary_;
-    std::FILE* file_ = nullptr;
+    std::FILE* file_ = nullptr;  // null: finished
+    bool has_temporary_ = false;
 };
 
 }  // namespace clba

@@ -18,7 +18,8 @@ enum class Status : int {
     internal = -6,
     file = -7,
     format = -8,
-    no_plugin = -9
+    no_plugin = -9,
+    cancelled = -10
 };
 
 // Thrown everywhere inside the library and turned into a status by src/api. The message gives the

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "cli/commands.hpp"
+#include "cli/files.hpp"
 #include "cli/handles.hpp"
 
 namespace cli {
@@ -26,8 +27,10 @@ void print_counts(const char* label, std::vector<int64_t>& counts) {
 }
 
 void print_info(const std::string& path) {
-    const Problem problem = read_problem(path);
+    const Problem problem = read_problem(path, false);
     const clba_problem_info info = info_of(problem.get());
+    std::printf("format                  %s\n",
+                clba_format_name(clba_problem_get_format(problem.get())));
     std::printf("images                  %d\n", info.num_images);
     std::printf("cameras                 %d, of which %d shared\n", info.num_cameras,
                 info.num_shared_cameras);
@@ -57,7 +60,7 @@ void print_info(const std::string& path) {
 void add_info(CLI::App& program) {
     CLI::App* command = program.add_subcommand("info", "Describe a problem; needs no device");
     const auto path = std::make_shared<std::string>();
-    command->add_option("FILE", *path, "BAL problem: plain, gzip or bzip2 text")->required();
+    command->add_option("FILE", *path, problem_help)->required();
     command->callback([path] { print_info(*path); });
 }
 

@@ -38,6 +38,7 @@ void IterationLog::print(const clba_iteration& row) {
                 row.seconds - last_row_seconds_, row.seconds);
     std::fflush(stdout);
     last_row_seconds_ = row.seconds;
+    remaining_seconds_ = row.remaining_seconds;
     ++num_rows_;
 }
 
@@ -58,8 +59,11 @@ void IterationLog::show_progress() {
             return static_cast<long>(
                 std::chrono::duration_cast<std::chrono::seconds>(now - since).count());
         };
-        std::fprintf(stderr, "\riteration %d of at most %d: %ld s; in all %ld s\033[K", num_rows_,
+        std::fprintf(stderr, "\riteration %d of at most %d: %ld s; in all %ld s", num_rows_,
                      max_num_iterations_, seconds(row_start), seconds(start));
+        if (remaining_seconds_ >= 0)
+            std::fprintf(stderr, "; some %.0f s to go", remaining_seconds_);
+        std::fputs("\033[K", stderr);
         std::fflush(stderr);
         progress_is_shown_ = true;
     }

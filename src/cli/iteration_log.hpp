@@ -29,6 +29,7 @@ private:
     bool stop_ = false;  // this and the rest are guarded by mutex_
     int32_t num_rows_ = 0;
     double last_row_seconds_ = 0;  // of the solve's own clock
+    double remaining_seconds_ = -1;
     bool progress_is_shown_ = false;
     std::thread progress_;  // runs on a terminal only
 };

@@ -29,7 +29,9 @@ int main(int argc, char** argv) try {
     int result = 0;
     cli::add_devices(program);
     cli::add_info(program);
+    cli::add_convert(program);
     cli::add_generate(program);
+    cli::add_filter(program);
     cli::add_solve(program, result);
     try {
         program.parse(argc, argv);

@@ -16,27 +16,53 @@ namespace {
 
 namespace fs = std::filesystem;
 
-void check_output(const fs::path& path) {
-    const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
+fs::path folder_of(const fs::path& path) {
+    return path.has_parent_path() ? path.parent_path() : fs::path(".");
+}
+
+void check_folder(const fs::path& path, const fs::path& folder) {
     std::error_code ignored;
     if (!fs::is_directory(folder, ignored))
         throw Failure(ExitCode::file, path.string() + ": there is no folder " + folder.string() +
                                           " to write to; create it, or name another");
-    if (fs::is_directory(path, ignored) || !path.has_filename())
-        throw Failure(ExitCode::file,
-                      path.string() + ": this is a folder; name a file in it to write");
-    if (fs::exists(path, ignored) && !fs::is_regular_file(path, ignored))
-        throw Failure(ExitCode::file,
-                      path.string() + ": exists and is not a regular file; name another");
     if (::access(folder.c_str(), W_OK | X_OK) != 0)
         throw Failure(ExitCode::file, path.string() + ": cannot write to folder " +
                                           folder.string() + ": " + std::strerror(errno));
 }
 
+void check_no_special_file(const fs::path& path) {
+    std::error_code ignored;
+    if (fs::exists(path, ignored) && !fs::is_regular_file(path, ignored))
+        throw Failure(ExitCode::file,
+                      path.string() + ": exists and is not a regular file; name another");
+}
+
+void check_output(const fs::path& path) {
+    std::error_code ignored;
+    if (fs::is_directory(path, ignored) || !path.has_filename())
+        throw Failure(ExitCode::file,
+                      path.string() + ": this is a folder; name a file in it to write");
+    check_no_special_file(path);
+    check_folder(path, folder_of(path));
+}
+
+void check_file_or_folder(const std::string& path) {
+    std::error_code ignored;
+    if (fs::is_directory(path, ignored)) return check_folder(path, path);
+    // A trailing '/' names a folder to be made.
+    const fs::path named = path.substr(0, path.find_last_not_of('/') + 1);
+    check_no_special_file(named);
+    check_folder(named, folder_of(named));
+}
+
 }  // namespace
 
-void check_outputs(const std::vector<std::string>& paths) {
+void check_outputs(const std::vector<std::string>& paths, const std::string& problem_path) {
     std::set<fs::path> seen;
+    if (!problem_path.empty()) {
+        check_file_or_folder(problem_path);
+        seen.insert(fs::weakly_canonical(fs::absolute(problem_path)));
+    }
     for (const std::string& path : paths) {
         if (path.empty()) continue;
         check_output(path);

@@ -7,10 +7,14 @@
 #include <vector>
 
 #include "cli/commands.hpp"
+#include "cli/covariance.hpp"
+#include "cli/files.hpp"
+#include "cli/filter.hpp"
 #include "cli/handles.hpp"
 #include "cli/interrupt.hpp"
 #include "cli/options.hpp"
 #include "cli/outputs.hpp"
+#include "cli/priors.hpp"
 #include "cli/solver_run.hpp"
 #include "cli/verify.hpp"
 
@@ -23,12 +27,19 @@ struct SolveArguments {
     SolveArguments() { check(clba_solver_options_init(&options, sizeof options)); }
     clba_solver_options options = {};
     std::string file;
-    std::string output;
+    Output output;
     std::string ply;
     std::string json;
+    std::string position_priors;
+    std::string point_priors;
     std::string device;
+    CovarianceArguments covariance;
+    std::string checkpoint;
+    std::string resume;
     int32_t loss = CLBA_LOSS_NONE;
     double loss_scale = 1;
+    clba_filter_options filter = filter_defaults();
+    int32_t filter_rounds = 0;
     bool verify = false;
     bool quiet = false;
 };
@@ -43,15 +54,18 @@ Context make_context(const std::string& device) {
 }
 
 Problem read_start(const SolveArguments& arguments) {
-    Problem problem = read_problem(arguments.file);
+    Problem problem = read_problem(arguments.file, arguments.quiet);
     if (info_of(problem.get()).num_observations == 0)
         throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
     check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
+    if (!arguments.position_priors.empty())
+        read_position_priors(arguments.position_priors, problem.get());
+    if (!arguments.point_priors.empty()) read_point_priors(arguments.point_priors, problem.get());
     return problem;
 }
 
 void write_states(const clba_problem* problem, const SolveArguments& arguments) {
-    if (!arguments.output.empty()) check(clba_problem_write_bal(problem, arguments.output.c_str()));
+    if (!arguments.output.path.empty()) write_problem(problem, arguments.output);
     if (!arguments.ply.empty()) check(clba_problem_write_ply(problem, arguments.ply.c_str()));
 }
 
@@ -95,33 +109,70 @@ void write_json(const std::string& path, const Json& json) {
         write_text(path, json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n');
 }
 
+// Solves; then, for as many rounds as are wanted and find outliers, removes these and solves again.
+Result solve_in_rounds(clba_problem* problem, clba_context* context,
+                       const SolveArguments& arguments, Json& filtered) {
+    Result result = run_solver(problem, context, arguments.options, arguments.quiet);
+    for (int32_t round = 0; round < arguments.filter_rounds; ++round) {
+        if (summary_of(result.get()).termination == CLBA_FAILURE || interrupted()) break;
+        const clba_filter_report report = filter(problem, arguments.filter);
+        filtered.push_back(filter_json(report));
+        if (!arguments.quiet) {
+            std::printf("\n");
+            print_filter_report(report);
+            std::printf("\n");
+        }
+        if (report.num_observations_removed == 0) break;
+        if (info_of(problem).num_observations == 0)
+            throw Failure(ExitCode::usage, "the filter removed all observations; let it keep more");
+        result = run_solver(problem, context, arguments.options, arguments.quiet);
+    }
+    return result;
+}
+
 ExitCode exit_code_of(const clba_summary& summary) {
     if (summary.termination == CLBA_FAILURE) return ExitCode::not_solved;
     return interrupted() ? ExitCode::interrupted : ExitCode::ok;
 }
 
-ExitCode solve(const SolveArguments& arguments) {
-    check_outputs({arguments.output, arguments.ply, arguments.json});
+ExitCode solve(SolveArguments& arguments) {
+    check_outputs({arguments.ply, arguments.json, arguments.covariance.file, arguments.checkpoint},
+                  arguments.output.path);
+    if (!arguments.checkpoint.empty())
+        arguments.options.checkpoint_path = arguments.checkpoint.c_str();
+    if (!arguments.resume.empty()) arguments.options.resume_path = arguments.resume.c_str();
     const Context context = make_context(arguments.device);
     const Problem problem = read_start(arguments);
+    if (!arguments.output.path.empty()) check_write(problem.get(), arguments.output);
     // Read now, because the output may replace the file.
     const Problem start = arguments.verify ? read_start(arguments) : nullptr;
 
-    const Result result =
-        run_solver(problem.get(), context.get(), arguments.options, arguments.quiet);
+    Json filtered = Json::array();
+    const Result result = solve_in_rounds(problem.get(), context.get(), arguments, filtered);
     write_states(problem.get(), arguments);
     const double median =
         median_residual(problem.get(), context.get(), summary_of(result.get()).precision);
     Json json = summary_json(arguments, problem.get(), result.get(), median);
+    if (arguments.filter_rounds > 0) json["filter"] = filtered;
     write_json(arguments.json, json);
     if (!arguments.quiet)
         std::printf("\n%sMedian residual              %.4g pixels\n",
                     clba_result_report(result.get()), median);
 
     const clba_summary summary = summary_of(result.get());
+    if (summary.checkpoint_error[0])
+        std::fprintf(stderr, "clba: warning: a checkpoint is missing: %s\n",
+                     summary.checkpoint_error);
     if (exit_code_of(summary) == ExitCode::not_solved)
         std::fprintf(stderr, "clba: error: %s: not solved: %s\n", arguments.file.c_str(),
                      summary.message);
+    if (!arguments.covariance.file.empty()) {
+        if (exit_code_of(summary) == ExitCode::ok)
+            write_covariances(problem.get(), context.get(), arguments.covariance, arguments.quiet);
+        else
+            std::fprintf(stderr, "clba: %s: no covariances are written of what is not solved\n",
+                         arguments.covariance.file.c_str());
+    }
     if (arguments.verify && exit_code_of(summary) == ExitCode::ok) {
         json["verify"] = verify(problem.get(), summary, start.get(), context.get(),
                                 arguments.options, arguments.quiet);
@@ -132,9 +183,11 @@ ExitCode solve(const SolveArguments& arguments) {
 
 void add_output_options(CLI::App& command, SolveArguments& arguments) {
     command
-        .add_option("-o,--output", arguments.output,
-                    "BAL file of the solution; compressed if it ends in .gz or .bz2")
+        .add_option("-o,--output", arguments.output.path,
+                    "the solution: a file or folder in the format of FILE, unless its ending or "
+                    "--output-format says otherwise")
         ->check(not_empty);
+    add_output_format(command, "--output-format", arguments.output);
     command.add_option("--ply", arguments.ply, "PLY file of points and camera centres")
         ->check(not_empty);
     command.add_option("--json", arguments.json, "JSON file of the summary and every iteration")
@@ -142,6 +195,18 @@ void add_output_options(CLI::App& command, SolveArguments& arguments) {
     command.add_flag("--verify", arguments.verify,
                      "solve again by direct_schur in double precision and compare");
     command.add_flag("--quiet", arguments.quiet, "print errors only");
+}
+
+void add_priors(CLI::App& command, SolveArguments& arguments) {
+    command
+        .add_option("--position-priors", arguments.position_priors,
+                    "CSV file of camera centres, as by GPS: image, x, y, z, sx, sy, sz with the "
+                    "image's index and standard deviations, in the world's units")
+        ->check(not_empty);
+    command
+        .add_option("--point-priors", arguments.point_priors,
+                    "CSV file of points, as of ground control: point, x, y, z, sx, sy, sz")
+        ->check(not_empty);
 }
 
 void add_solver_options(CLI::App& command, SolveArguments& arguments) {
@@ -200,17 +265,48 @@ void add_limits(CLI::App& command, clba_solver_options& options) {
         ->capture_default_str();
 }
 
+void add_checkpoints(CLI::App& command, SolveArguments& arguments) {
+    command
+        .add_option("--checkpoint", arguments.checkpoint,
+                    "file from which the solve can go on later, by --resume")
+        ->check(not_empty);
+    command
+        .add_option(
+            "--checkpoint-every", arguments.options.checkpoint_every,
+            "iterations between checkpoints; 0: only where a limit or Ctrl-C ends the solve")
+        ->check(non_negative_number)
+        ->capture_default_str();
+    command
+        .add_option("--resume", arguments.resume,
+                    "go on from a checkpoint of the same problem and options")
+        ->check(not_empty);
+}
+
+void add_filter_rounds(CLI::App& command, SolveArguments& arguments) {
+    CLI::Option* rounds = command
+                              .add_option("--filter-rounds", arguments.filter_rounds,
+                                          "how often at most to remove outliers and solve again")
+                              ->check(non_negative_number)
+                              ->capture_default_str();
+    for (const char* other : {"--verify", "--checkpoint", "--resume"})
+        rounds->excludes(command.get_option(other));
+    add_filter_options(command, arguments.filter, "filter-");
+}
+
 }  // namespace
 
 void add_solve(CLI::App& program, int& result) {
     CLI::App* command = program.add_subcommand("solve", "Refine a problem");
     command->footer(exit_code_help);
     const auto arguments = std::make_shared<SolveArguments>();
-    command->add_option("FILE", arguments->file, "BAL problem: plain, gzip or bzip2 text")
-        ->required();
+    command->add_option("FILE", arguments->file, problem_help)->required();
     add_output_options(*command, *arguments);
+    add_covariance_options(*command, arguments->covariance);
+    add_priors(*command, *arguments);
     add_solver_options(*command, *arguments);
     add_limits(*command, arguments->options);
+    add_checkpoints(*command, *arguments);
+    add_filter_rounds(*command, *arguments);
     command->callback([arguments, &result] { result = static_cast<int>(solve(*arguments)); });
 }
 

@@ -24,6 +24,7 @@ Result run_solver(clba_problem* problem, clba_context* context, clba_solver_opti
     options.on_iteration = on_iteration;
     options.user_data = &log;
     const InterruptGuard guard;
+    options.cancellation = guard.cancellation();
     clba_result* result = nullptr;
     check(clba_problem_solve(problem, context, &options, &result));
     return Result(result);

@@ -14,6 +14,7 @@ nlohmann::ordered_json verify(const clba_problem* solved, const clba_summary& su
     options.linear_solver = CLBA_LINEAR_SOLVER_DIRECT_SCHUR;
     options.preconditioner = CLBA_PRECONDITIONER_DEFAULT;
     options.precision = CLBA_PRECISION_DOUBLE;
+    options.checkpoint_path = options.resume_path = nullptr;
     const Result result = run_solver(start, context, options, quiet);
     const clba_summary direct = summary_of(result.get());
     const double cost = summary.reference_final_cost;

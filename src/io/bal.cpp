@@ -1,124 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "io/bal.hpp"
 
-#include <fast_float/fast_float.h>
-
 #include <algorithm>
-#include <charconv>
+#include <array>
 #include <cmath>
 #include <cstdint>
-#include <filesystem>
 #include <limits>
-#include <string_view>
+#include <utility>
 
 #include "base/error.hpp"
-#include "io/text_input.hpp"
+#include "io/bal_parallel.hpp"
+#include "io/number_reader.hpp"
 #include "io/text_output.hpp"
 
 namespace clba {
 namespace {
 
-// What a token stands for, put into words only when an error needs them.
-struct Field {
-    const char* name;
-    const char* row = nullptr;  // null: the header
-    int64_t index = 0;
-    int64_t num_rows = 0;
+constexpr int64_t large_file_bytes = int64_t{1} << 20;
+constexpr size_t window_bytes = size_t{1} << 24;
 
-    std::string words() const {
-        return row ? text("the ", name, " of ", row, " ", index, " of ", num_rows) : name;
-    }
-};
-
-class NumberReader {
-public:
-    explicit NumberReader(const std::string& path) : tokens_(path) {}
-
-    int64_t count(const char* name, int64_t most) {
-        const Field field{name};
-        const std::string_view token = next(field);
-        int64_t value = 0;
-        if (!parse(token, field, value) || value < 0 || value > most)
-            fail_here(name, " = ", shown(token), ", but it must be from 0 to ", most);
-        return value;
-    }
-
-    int32_t index(const Field& field, const char* count_name, int32_t count) {
-        const std::string_view token = next(field);
-        int64_t value = 0;
-        if (!parse(token, field, value) || value < 0 || value >= count)
-            fail_here("observation ", field.index, " has the ", field.name, " ", shown(token),
-                      ", but ", count_name, " = ", count);
-        return static_cast<int32_t>(value);
-    }
-
-    double number(const Field& field) {
-        const std::string_view token = next(field);
-        const char* const end = token.data() + token.size();
-        double value = 0;
-        if (fast_float::from_chars(without_plus(token), end, value).ptr != end)
-            fail_here(field.words(), " is '", shown(token), "', but it must be a number");
-        if (!std::isfinite(value))
-            fail_here(field.words(), " is '", shown(token),
-                      "', but it must be a finite double (below 1.8e308)");
-        return value;
-    }
-
-    void expect_end(const char* last_row) {
-        const std::string_view token = tokens_.next();
-        if (!token.empty())
-            fail_here("'", shown(token), "' follows ", last_row,
-                      ", but the file must end there; check the counts in its first line");
-    }
-
-    template <class... Parts>
-    [[noreturn]] void fail_here(const Parts&... parts) const {
-        fail(Status::format, tokens_.path(), ":", tokens_.line(), ": ", parts...);
-    }
-
-private:
-    std::string_view next(const Field& field) {
-        const std::string_view token = tokens_.next();
-        if (token.empty()) {
-            if (is_at_start_)
-                fail(
-                    Status::format, tokens_.path(),
-                    " is empty, but a BAL file begins with num_images num_points num_observations");
-            fail(Status::format, tokens_.path(), " ends at line ", tokens_.line(), " where ",
-                 field.words(), " was expected; it is truncated or its counts are wrong");
-        }
-        is_at_start_ = false;
-        return token;
-    }
-
-    static const char* without_plus(std::string_view token) {
-        return token.data() + (token.size() > 1 && token[0] == '+' && token[1] != '-');
-    }
-
-    // False: an integer, but too large for an int64_t.
-    bool parse(std::string_view token, const Field& field, int64_t& value) const {
-        const char* const end = token.data() + token.size();
-        const auto [stop, error] = std::from_chars(without_plus(token), end, value);
-        if (stop != end || error == std::errc::invalid_argument)
-            fail_here(field.words(), " is '", shown(token), "', but it must be an integer");
-        return error == std::errc();
-    }
-
-    TokenReader tokens_;
-    bool is_at_start_ = true;
-};
-
-// Room for the rows that the header promises, as far as the file is large enough to hold them: a
-// wrong header must not decide how much memory is asked for.
-template <class Rows>
-void reserve(Rows& rows, int64_t count, int64_t file_bytes, int64_t least_bytes_per_row) {
-    rows.reserve(static_cast<size_t>(std::min(count, file_bytes / least_bytes_per_row)));
-}
-
-int64_t size_of_file(const std::string& path) {
-    std::error_code error;
-    const auto bytes = std::filesystem::file_size(path, error);
-    return error ? 0 : static_cast<int64_t>(bytes);  // a pipe has none
+// False: its rotation is not finite.
+bool add_image(const std::array<double, 9>& values, Problem& problem) {
+    Image image;
+    image.camera = problem.num_cameras();
+    image.pose.rotation = quaternion_from_rotation_vector({values[0], values[1], values[2]});
+    image.pose.translation = {values[3], values[4], values[5]};
+    Camera camera;
+    camera.model = camera_snavely;
+    std::copy(values.begin() + 6, values.end(), camera.params.begin());
+    problem.images.push_back(image);
+    problem.cameras.push_back(camera);
+    return std::isfinite(image.pose.rotation[0]);
 }
 
 void read_image(NumberReader& numbers, int64_t index, int64_t count, Problem& problem) {
@@ -131,31 +43,20 @@ void read_image(NumberReader& numbers, int64_t index, int64_t count, Problem& pr
                                             "focal length f",
                                             "k1",
                                             "k2"};
-    double values[9];
-    for (int k = 0; k < 9; ++k) values[k] = numbers.number({names[k], "image", index, count});
-    Image image;
-    image.camera = static_cast<int32_t>(index);
-    image.pose.rotation = quaternion_from_rotation_vector({values[0], values[1], values[2]});
-    if (!std::isfinite(image.pose.rotation[0]))
+    std::array<double, 9> values;
+    for (size_t k = 0; k < 9; ++k) values[k] = numbers.number({names[k], "image", index, count});
+    if (!add_image(values, problem))
         numbers.fail_here("the rotation vector of image ", index, " is (", values[0], ", ",
                           values[1], ", ", values[2], "), but its squared length must be finite");
-    image.pose.translation = {values[3], values[4], values[5]};
-    Camera camera;
-    camera.model = camera_snavely;
-    std::copy(values + 6, values + 9, camera.params.begin());
-    problem.images.push_back(image);
-    problem.cameras.push_back(camera);
 }
 
-}  // namespace
-
-Problem read_bal(const std::string& path) {
+Problem read_number_by_number(const std::string& path) {
     constexpr int32_t most_rows = std::numeric_limits<int32_t>::max();
-    NumberReader numbers(path);
-    const auto num_images = static_cast<int32_t>(numbers.count("num_images", most_rows));
-    const auto num_points = static_cast<int32_t>(numbers.count("num_points", most_rows));
+    NumberReader numbers(path, "a BAL file", "num_images num_points num_observations");
+    const auto num_images = static_cast<int32_t>(numbers.count({"num_images"}, most_rows));
+    const auto num_points = static_cast<int32_t>(numbers.count({"num_points"}, most_rows));
     const int64_t num_observations =
-        numbers.count("num_observations", std::numeric_limits<int64_t>::max());
+        numbers.count({"num_observations"}, std::numeric_limits<int64_t>::max());
 
     const int64_t file_bytes = size_of_file(path);
     Problem problem;
@@ -184,6 +85,20 @@ Problem read_bal(const std::string& path) {
     numbers.expect_end(num_points > 0   ? "the last point"
                        : num_images > 0 ? "the last image"
                                         : "the last observation");
+    return problem;
+}
+
+}  // namespace
+
+Problem read_bal(const std::string& path) {
+    BalNumbers numbers;
+    if (size_of_file(path) < large_file_bytes || !read_bal_in_parallel(path, window_bytes, numbers))
+        return read_number_by_number(path);
+    Problem problem;
+    problem.observations = std::move(numbers.observations);
+    problem.points = std::move(numbers.points);
+    for (const std::array<double, 9>& image : numbers.images)
+        if (!add_image(image, problem)) return read_number_by_number(path);
     return problem;
 }
 

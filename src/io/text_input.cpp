@@ -11,11 +11,12 @@
 #include <utility>
 
 #include "base/error.hpp"
+#include "io/read_progress.hpp"
 
 namespace clba {
 namespace {
 
-constexpr size_t block_bytes = size_t{1} << 20;
+constexpr size_t block_bytes = size_t{1} << 16;
 
 // The file as it is on disk, one block at a time.
 class RawFile {
@@ -41,6 +42,7 @@ public:
             if (std::ferror(file_))
                 fail(Status::file, "cannot read ", path_, ": ", std::strerror(errno));
             pending_ = {block_.data(), count};
+            ReadProgress::add(static_cast<int64_t>(count));
         }
         return pending_;
     }
@@ -183,8 +185,10 @@ bool begins_with(std::string_view bytes, std::string_view magic) {
     return bytes.substr(0, magic.size()) == magic;
 }
 
-bool is_space(char c) {
-    return c == ' ' || (c >= '\t' && c <= '\r');
+void append_all(ByteSource& source, std::string& text) {
+    std::vector<char> block(block_bytes);
+    while (const size_t count = source.read(block.data(), block.size()))
+        text.append(block.data(), count);
 }
 
 }  // namespace
@@ -230,6 +234,51 @@ std::string_view TokenReader::next() {
     begin_ = stop;
     token_line_ = line_;
     return token;
+}
+
+std::string TokenReader::rest() {
+    std::string text(block_.data() + begin_, end_ - begin_);
+    begin_ = end_;
+    append_all(*source_, text);
+    return text;
+}
+
+LineReader::LineReader(const std::string& path)
+    : path_(path), source_(open_input(path)), block_(block_bytes) {}
+
+bool LineReader::next(std::string_view& line) {
+    size_t searched = begin_;
+    for (;;) {
+        const void* const found = std::memchr(block_.data() + searched, '\n', end_ - searched);
+        if (found) {
+            const size_t stop =
+                static_cast<size_t>(static_cast<const char*>(found) - block_.data());
+            line = {block_.data() + begin_, stop - begin_};
+            begin_ = stop + 1;
+            break;
+        }
+        const size_t rest = end_ - begin_;
+        if (rest == block_.size())
+            fail(Status::format, path_, ":", line_ + 1, ": a line of more than ", rest, " bytes");
+        std::memmove(block_.data(), block_.data() + begin_, rest);
+        begin_ = 0;
+        searched = rest;
+        end_ = rest + source_->read(block_.data() + rest, block_.size() - rest);
+        if (end_ > rest) continue;
+        if (rest == 0) return false;
+        line = {block_.data(), rest};
+        begin_ = rest;
+        break;
+    }
+    ++line_;
+    if (!line.empty() && line.back() == '\r') line.remove_suffix(1);
+    return true;
+}
+
+std::string read_text(const std::string& path) {
+    std::string text;
+    append_all(*open_input(path), text);
+    return text;
 }
 
 std::string shown(std::string_view token) {

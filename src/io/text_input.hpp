@@ -24,6 +24,7 @@ class TokenReader {
 public:
     explicit TokenReader(const std::string& path);
     std::string_view next();                      // empty at the end; valid until the next call
+    std::string rest();                           // all that follows the token last returned
     int64_t line() const { return token_line_; }  // of the token last returned, counted from 1
     const std::string& path() const { return path_; }
 
@@ -36,6 +37,30 @@ private:
     size_t begin_ = 0, end_ = 0;  // the part of block_ not yet returned
     int64_t line_ = 1, token_line_ = 1;
 };
+
+// Splits a text into lines.
+class LineReader {
+public:
+    explicit LineReader(const std::string& path);
+    // False at the end. The line comes without its end, "\n" or "\r\n"; valid until the next call.
+    bool next(std::string_view& line);
+    int64_t line() const { return line_; }  // of the line last returned, counted from 1
+    const std::string& path() const { return path_; }
+
+private:
+    std::string path_;
+    std::unique_ptr<ByteSource> source_;
+    std::vector<char> block_;
+    size_t begin_ = 0, end_ = 0;  // the part of block_ not yet returned
+    int64_t line_ = 0;
+};
+
+// All of a file.
+std::string read_text(const std::string& path);
+
+inline bool is_space(char c) {
+    return c == ' ' || (c >= '\t' && c <= '\r');
+}
 
 // A token for an error message: its first characters, unprintable ones replaced by '?'.
 std::string shown(std::string_view token);

@@ -20,7 +20,7 @@ public:
 
 namespace {
 
-constexpr size_t block_bytes = size_t{1} << 20;
+constexpr size_t block_bytes = size_t{1} << 16;
 
 class GzipCompressor final : public Compressor {
 public:

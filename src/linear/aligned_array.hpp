@@ -20,6 +20,7 @@ public:
         std::uninitialized_value_construct_n(data_.get(), count);
     }
     Real* data() { return data_.get(); }
+    const Real* data() const { return data_.get(); }
 
 private:
     static constexpr std::align_val_t alignment{64};

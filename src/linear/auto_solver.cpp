@@ -58,26 +58,33 @@ double AutoSolver::break_even_iterations() {
     return (forming + flops * seconds_per_flop / workers) / of_product;
 }
 
-LinearSolution AutoSolver::solve(double lambda) {
+void AutoSolver::find_break_even() {
+    break_even_ = break_even_iterations();
+    pcg_.limit_iterations(
+        static_cast<int>(std::min<double>(max_iterations_, std::ceil(*break_even_))));
+}
+
+LinearSolution AutoSolver::solve(double lambda, const StopTest& stop) {
     ++num_steps_;
     if (!explicit_ || lambda > explicit_lambda_) {
         last_ = &pcg_;
-        const LinearSolution solution = pcg_.solve(lambda);
-        if (solution.num_iterations <= few_iterations) return solution;
-        if (!break_even_) {
-            break_even_ = break_even_iterations();
-            pcg_.limit_iterations(
-                static_cast<int>(std::min<double>(max_iterations_, std::ceil(*break_even_))));
-        }
+        const LinearSolution solution = pcg_.solve(lambda, stop);
+        if (solution.stopped != StopCause::none || solution.num_iterations <= few_iterations)
+            return solution;
+        if (!break_even_) find_break_even();
         if (solution.num_iterations < *break_even_) return solution;
-        if (!explicit_ && !make_explicit(solution.num_iterations)) return solution;
+        if (!explicit_) {
+            explicit_step_ = num_steps_;
+            explicit_iterations_ = solution.num_iterations;
+            if (!make_explicit()) return solution;
+        }
         explicit_lambda_ = lambda;
     }
     last_ = explicit_.get();
-    return explicit_->solve(lambda);
+    return explicit_->solve(lambda, stop);
 }
 
-bool AutoSolver::make_explicit(int num_iterations) {
+bool AutoSolver::make_explicit() {
     try {
         explicit_ = std::make_unique<ExplicitSchur>(problem_, equations_, std::move(*structure_));
     } catch (const Error& error) {
@@ -87,10 +94,34 @@ bool AutoSolver::make_explicit(int num_iterations) {
         pcg_.limit_iterations(max_iterations_);
         return false;
     }
-    reason_ = text("step ", num_steps_, " took ", num_iterations,
+    reason_ = text("step ", explicit_step_, " took ", explicit_iterations_,
                    " or more iterations of conjugate gradients; an exact step costs as much as ",
                    std::llround(*break_even_), ", and is taken where lambda is as small");
     return true;
+}
+
+LinearSolverState AutoSolver::state() const {
+    LinearSolverState state;
+    state.num_steps = num_steps_;
+    if (break_even_) state.break_even = *break_even_;
+    state.is_explicit = explicit_ != nullptr;
+    state.explicit_lambda = explicit_lambda_;
+    state.explicit_step = explicit_step_;
+    state.explicit_iterations = explicit_iterations_;
+    return state;
+}
+
+void AutoSolver::restore(const LinearSolverState& state) {
+    num_steps_ = state.num_steps;
+    explicit_lambda_ = state.explicit_lambda;
+    explicit_step_ = state.explicit_step;
+    explicit_iterations_ = state.explicit_iterations;
+    if (state.break_even < 0) return;
+    if (std::isfinite(state.break_even))
+        find_break_even();
+    else
+        break_even_ = state.break_even;  // there was no memory
+    if (state.is_explicit) make_explicit();
 }
 
 void AutoSolver::get_step(Vector& full) {

@@ -17,14 +17,17 @@ class AutoSolver : public LinearSolver {
 public:
     AutoSolver(const LinearSolverOptions& options, const Problem& problem,
                NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override;
     std::string reason() const override { return reason_; }
+    LinearSolverState state() const override;
+    void restore(const LinearSolverState& state) override;
 
 private:
     double break_even_iterations();
-    bool make_explicit(int num_iterations);  // false: no memory
+    void find_break_even();
+    bool make_explicit();  // false: no memory
 
     const Problem& problem_;
     NormalEquations& equations_;
@@ -36,6 +39,7 @@ private:
     std::optional<SchurStructure> structure_;  // found on the way to it
     double explicit_lambda_ = 0;               // the largest for which pcg_schur took too long
     int num_steps_ = 0;
+    int explicit_step_ = 0, explicit_iterations_ = 0;  // the step that took too long, first
     std::string reason_;
 };
 

@@ -3,44 +3,14 @@
 
 #include <algorithm>
 #include <cstring>
-#include <map>
 
 #include "base/error.hpp"
+#include "linear/arena.hpp"
 #include "linear/elimination_order.hpp"
 #include "linear/flush_subnormals.hpp"
 
 namespace clba {
 namespace {
-
-// Columns start on cache lines, and not all on the same set of the cache.
-template <class Real>
-int64_t padded(int64_t rows) {
-    constexpr int64_t line = 64 / sizeof(Real), page = 4096 / sizeof(Real);
-    const int64_t stride = (rows + line - 1) / line * line;
-    return stride > 0 && stride % page == 0 ? stride + line : stride;
-}
-
-// Offsets of blocks of memory that come and go in an order known beforehand.
-class Arena {
-public:
-    // The first gap that is wide enough.
-    int64_t allocate(int64_t size) {
-        int64_t begin = 0;
-        for (const auto& [used, used_size] : used_) {
-            if (begin + size <= used) break;
-            begin = used + used_size;
-        }
-        if (size > 0) used_[begin] = size;
-        size_ = std::max(size_, begin + size);
-        return begin;
-    }
-    void release(int64_t begin) { used_.erase(begin); }
-    int64_t size() const { return size_; }
-
-private:
-    std::map<int64_t, int64_t> used_;  // begin -> size
-    int64_t size_ = 0;
-};
 
 std::vector<int64_t> block_begins(const BlockPattern& pattern) {
     std::vector<int64_t> begin = {0};
@@ -89,6 +59,19 @@ double estimate_flops(const BlockPattern& pattern) {
     for (const double of_block : make_tree(graph, elimination_order(graph, 1)).flops)
         flops += of_block;
     return flops;
+}
+
+double estimate_factor_values(const BlockPattern& pattern) {
+    check_pattern(pattern);
+    const BlockGraph graph = make_graph(pattern);
+    const std::vector<int32_t> order = elimination_order(graph, 1);
+    const EliminationTree tree = make_tree(graph, order);
+    double num_values = 0;
+    for (size_t i = 0; i < order.size(); ++i) {
+        const double pivots = graph.weight[order[i]];
+        num_values += pivots * (0.5 * (pivots + 1) + static_cast<double>(tree.rows_below[i]));
+    }
+    return num_values;
 }
 
 template <class Real>
@@ -289,16 +272,17 @@ bool BlockCholesky<Real>::factorize_front(int32_t f, const Real* values,
 }
 
 template <class Real>
-bool BlockCholesky<Real>::factorize(const Real* values) {
+bool BlockCholesky<Real>::factorize(const Real* values, const StopTest& stop) {
     const FlushSubnormals flush;
+    const auto goes_on = [&] { return stop.cause() == StopCause::none; };
     failed_ = false;
     for_each_subtree([&](int32_t begin, int32_t end, const DenseThreads<Real>& alone) {
         for (int32_t f = begin; f < end && !failed_; ++f)
-            if (!factorize_front(f, values, alone)) failed_ = true;
+            if (!goes_on() || !factorize_front(f, values, alone)) failed_ = true;
     });
     if (failed_) return false;
     for (const int32_t f : shared_fronts_)
-        if (!factorize_front(f, values, threads(true, 0))) return false;
+        if (!goes_on() || !factorize_front(f, values, threads(true, 0))) return false;
     return true;
 }
 
@@ -359,6 +343,20 @@ void BlockCholesky<Real>::solve(const Real* b, Real* x) {
     for_each_subtree([&](int32_t begin, int32_t end, const DenseThreads<Real>& alone) {
         for (int32_t f = end - 1; f >= begin; --f) solve_front_backward(f, x, alone);
     });
+}
+
+template <class Real>
+void BlockCholesky<Real>::get_pivots(Real* pivots) const {
+    for (size_t f = 0; f < tree_.fronts.size(); ++f) {
+        const Real* reciprocal = panels_.data() + storage_[f].panel;
+        for (int32_t i = tree_.fronts[f].first_block; i < tree_.fronts[f].end_block; ++i) {
+            const int32_t block = tree_.order[i];
+            for (int64_t k = pattern_begin_[block]; k < pattern_begin_[block + 1]; ++k) {
+                pivots[k] = 1 / (*reciprocal * *reciprocal);
+                reciprocal += storage_[f].panel_stride + 1;
+            }
+        }
+    }
 }
 
 template class BlockCholesky<float>;

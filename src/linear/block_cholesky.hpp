@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "base/stop_test.hpp"
 #include "linear/aligned_array.hpp"
 #include "linear/block_pattern.hpp"
 #include "linear/front_tree.hpp"
@@ -11,6 +12,9 @@
 #include "linear/worker_pool.hpp"
 
 namespace clba {
+
+template <class Real>
+class BlockInverse;
 
 // A = L L^T on the host for a sparse symmetric positive definite matrix of blocks, by fronts
 // (multifrontal), for values that change and a pattern that does not. For one caller at a time.
@@ -29,16 +33,21 @@ public:
     int64_t num_values() const { return value_begin_.back(); }
     int64_t value_offset(int64_t entry) const { return value_begin_[entry]; }
 
-    // False: not positive definite, or not finite; another matrix may follow. Only the lower
-    // triangle of the diagonal blocks is read.
-    bool factorize(const Real* values);
+    // False: not positive definite, or not finite, or `stop` ended it; another matrix may follow.
+    // Only the lower triangle of the diagonal blocks is read.
+    bool factorize(const Real* values, const StopTest& stop = {});
     // A x = b with the last factor, which must have been positive definite. x may be b.
     void solve(const Real* b, Real* x);
+    // Of the last factor, by row of the matrix: what was left of each diagonal entry when it was
+    // eliminated.
+    void get_pivots(Real* pivots) const;
 
     int64_t num_factor_values() const { return num_factor_values_; }  // with zeros that are stored
     double factor_flops() const { return factor_flops_; }             // on those values
 
 private:
+    friend class BlockInverse<Real>;
+
     // A block of the matrix and where its first entry goes in the panel of its front.
     struct Source {
         int64_t value, target;
@@ -91,5 +100,7 @@ private:
 
 // Multiplications and additions of a factorisation, without its memory; for models of cost.
 double estimate_flops(const BlockPattern& pattern);
+// Numbers of its factor, likewise.
+double estimate_factor_values(const BlockPattern& pattern);
 
 }  // namespace clba

@@ -3,6 +3,7 @@
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 namespace {
@@ -39,23 +40,12 @@ void require_double(const Context& context) {
              "single does without");
 }
 
-// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
-void split(double coordinate, float* parts, int64_t low) {
-    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
-    // volatile.
-    const volatile float high = static_cast<float>(coordinate);
-    parts[0] = high;
-    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
-}
 // What the device did not move keeps the digits that it had no room for.
 void join(const float* parts, int64_t low, double& coordinate) {
     float before[2];
-    split(coordinate, before, 1);
+    split_position(coordinate, before, 1);
     if (parts[0] != before[0] || parts[low] != before[1])
         coordinate = static_cast<double>(parts[0]) + static_cast<double>(parts[low]);
-}
-void split(double coordinate, double* parts, int64_t) {
-    parts[0] = coordinate;
 }
 void join(const double* parts, int64_t, double& coordinate) {
     coordinate = parts[0];
@@ -74,7 +64,7 @@ void upload_pose(const Pose& pose, float* values) {
     std::transform(pose.rotation.begin(), pose.rotation.end(), values,
                    [](double x) { return static_cast<float>(x); });
     const Point center = camera_center(pose);
-    for (int k = 0; k < 3; ++k) split(center[k], values + 4 + k, 3);
+    for (int k = 0; k < 3; ++k) split_position(center[k], values + 4 + k, 3);
 }
 void download_pose(const float* values, Pose& pose) {
     std::array<float, 10> before;
@@ -91,6 +81,17 @@ void download_pose(const float* values, Pose& pose) {
 }
 
 }  // namespace
+
+void split_position(double coordinate, float* parts, int64_t low) {
+    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
+    // volatile.
+    const volatile float high = static_cast<float>(coordinate);
+    parts[0] = high;
+    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
+}
+void split_position(double coordinate, double* parts, int64_t) {
+    parts[0] = coordinate;
+}
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
                              Precision precision)
@@ -111,7 +112,10 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
     upload_structure(problem);
     state = make_state();
     trial = make_state();
+    if (!problem.priors.empty()) priors_ = std::make_unique<PriorTerms>(*this, problem);
 }
+
+DeviceProblem::~DeviceProblem() = default;
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
     static const std::vector<std::string> paths = [] {
@@ -174,23 +178,50 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         }
         device_chunk.tile_points = Buffer(queue_, chunk.tile_points, "tiles");
         device_chunk.tile_num_points = Buffer(queue_, chunk.tile_num_points, "tiles");
-        if (has_point_scales(problem)) {
-            const int64_t n = chunk.num_point_slots;
-            std::vector<double> scale(static_cast<size_t>(3 * n), 1.0);
-            for (int64_t slot = 0; slot < n; ++slot) {
-                if (chunk.slot_point[slot] < 0) continue;
-                const auto of_point = point_scale(problem, chunk.slot_point[slot]);
-                for (int k = 0; k < 3; ++k) scale[k * n + slot] = of_point[k];
-            }
-            device_chunk.point_scale = upload_wide(scale, "point scales");
-        }
+        upload_point_scales(problem, chunk, device_chunk);
         for (const Segment& segment : chunk.segments)
-            device_chunk.segments.push_back(upload_segment(problem, segment));
+            device_chunk.segments.push_back(upload_segment(segment));
         chunks_.push_back(std::move(device_chunk));
+    }
+    upload_all_measurements(problem);
+}
+
+void DeviceProblem::upload_point_scales(const Problem& problem, const Chunk& chunk,
+                                        DeviceChunk& device_chunk) {
+    device_chunk.point_scale = Buffer();
+    if (!has_point_scales(problem)) return;
+    const int64_t n = chunk.num_point_slots;
+    std::vector<double> scale(static_cast<size_t>(3 * n), 1.0);
+    for (int64_t slot = 0; slot < n; ++slot) {
+        if (chunk.slot_point[slot] < 0) continue;
+        const auto of_point = point_scale(problem, chunk.slot_point[slot]);
+        for (int k = 0; k < 3; ++k) scale[k * n + slot] = of_point[k];
+    }
+    device_chunk.point_scale = upload_wide(scale, "point scales");
+}
+
+void DeviceProblem::upload_all_measurements(const Problem& problem) {
+    for (size_t c = 0; c < chunks_.size(); ++c)
+        for (size_t s = 0; s < chunks_[c].segments.size(); ++s)
+            upload_measurements(problem, tiles_.chunks[c].segments[s], chunks_[c].segments[s]);
+}
+
+void DeviceProblem::refresh(const Problem& problem) {
+    if (is_stale.scales) {
+        layout_ = ParameterLayout(problem);
+        write_wide(layout_.scale, scale_f);
+        for (size_t c = 0; c < chunks_.size(); ++c)
+            upload_point_scales(problem, tiles_.chunks[c], chunks_[c]);
+        if (priors_) priors_ = std::make_unique<PriorTerms>(*this, problem);
+        is_stale.scales = false;
+    }
+    if (is_stale.measurements) {
+        upload_all_measurements(problem);
+        is_stale.measurements = false;
     }
 }
 
-DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segment& segment) {
+DeviceSegment DeviceProblem::upload_segment(const Segment& segment) {
     DeviceSegment device_segment;
     device_segment.model = segment.model;
     device_segment.num_columns = segment.num_columns();
@@ -214,12 +245,17 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
     device_segment.block_column = Buffer(queue_, segment.block_column, "block columns");
     device_segment.block_runs = Buffer(queue_, segment.block_runs, "block runs");
     device_segment.runs = Buffer(queue_, segment.runs, "block runs");
+    return device_segment;
+}
 
+void DeviceProblem::upload_measurements(const Problem& problem, const Segment& segment,
+                                        DeviceSegment& device_segment) {
     const auto fill = [&](Buffer& buffer, int rows, auto&& value) {
-        buffer = Buffer(queue_,
-                        wide_bytes(precision_) * static_cast<uint64_t>(rows) *
-                            static_cast<uint64_t>(segment.num_slots()),
-                        "observations");
+        if (!buffer)
+            buffer = Buffer(queue_,
+                            wide_bytes(precision_) * static_cast<uint64_t>(rows) *
+                                static_cast<uint64_t>(segment.num_slots()),
+                            "observations");
         for_wide([&](auto wide) {
             using Wide = decltype(wide);
             const auto mapping = buffer.map_write<Wide>();
@@ -235,10 +271,11 @@ DeviceSegment DeviceProblem::upload_segment(const Problem& problem, const Segmen
         const Observation& o = problem.observations[observation];
         return row == 0 ? o.x : o.y;
     });
-    if (!problem.whitening.empty())
+    if (problem.whitening.empty())
+        device_segment.whitening = Buffer();
+    else
         fill(device_segment.whitening, 3,
              [&](int64_t observation, int row) { return problem.whitening[observation][row]; });
-    return device_segment;
 }
 
 State DeviceProblem::make_state() {
@@ -305,8 +342,8 @@ void DeviceProblem::upload_state(const Problem& problem) {
             const auto rows = state.points[c].map_write<Wide>();
             for_slots(n, [&](int64_t slot) {
                 for (int k = 0; k < 3; ++k)
-                    split(slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k],
-                          &rows[k * n + slot], 3 * n);
+                    split_position(slot_point[slot] < 0 ? 0.0 : problem.points[slot_point[slot]][k],
+                                   &rows[k * n + slot], 3 * n);
             });
         }
     });
@@ -323,15 +360,7 @@ void DeviceProblem::download_state(Problem& problem) const {
         for (size_t c = 0; c < chunks_.size(); ++c)
             points[c].reset(new Rows(state.points[c].map_read<Wide>()));
 
-        for (int32_t i = 0; i < num_images_; ++i)
-            download_pose(&poses[int64_t{pose_values()} * i], problem.images[i].pose);
-        for (int32_t c = 0; c < num_cameras_; ++c) {
-            for (int32_t k = 0; k < most_camera_params_; ++k) {
-                const Wide value = params[most_camera_params_ * int64_t{c} + k];
-                double& kept = problem.cameras[c].params[k];
-                if (value != static_cast<Wide>(kept)) kept = value;
-            }
-        }
+        copy_images(poses.data(), params.data(), problem.images, problem.cameras);
         for (size_t c = 0; c < chunks_.size(); ++c) {
             const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
             const auto n = static_cast<int64_t>(slot_point.size());
@@ -342,6 +371,95 @@ void DeviceProblem::download_state(Problem& problem) const {
                              problem.points[slot_point[slot]][k]);
             });
         }
+    });
+}
+
+size_t DeviceProblem::num_state_values() const {
+    return static_cast<size_t>(num_images_) * static_cast<size_t>(pose_values()) +
+           static_cast<size_t>(num_cameras_) * static_cast<size_t>(most_camera_params_) +
+           3 * static_cast<size_t>(position_parts(precision_)) * static_cast<size_t>(num_points_);
+}
+
+std::vector<double> DeviceProblem::state_values() const {
+    std::vector<double> values(num_state_values());
+    double* next = values.data();
+    for_wide([&](auto wide) {
+        for (const Buffer* buffer : {&state.poses, &state.camera_params}) {
+            const auto mapping = buffer->map_read<decltype(wide)>();
+            next = std::copy_n(mapping.data(), buffer->bytes() / sizeof wide, next);
+        }
+    });
+    read_points(state.points, 3 * position_parts(precision_), next);
+    return values;
+}
+
+void DeviceProblem::set_state_values(const std::vector<double>& values) {
+    const double* next = values.data();
+    for_wide([&](auto wide) {
+        using Wide = decltype(wide);
+        for (Buffer* buffer : {&state.poses, &state.camera_params}) {
+            const auto mapping = buffer->map_write<Wide>();
+            const size_t count = buffer->bytes() / sizeof wide;
+            std::transform(next, next + count, mapping.data(),
+                           [](double value) { return static_cast<Wide>(value); });
+            next += count;
+        }
+    });
+    write_points(next, 3 * position_parts(precision_), state.points);
+}
+
+void DeviceProblem::read_points(const std::vector<Buffer>& buffers, int rows,
+                                double* values) const {
+    for (size_t c = 0; c < buffers.size(); ++c) {
+        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+        const auto n = static_cast<int64_t>(slot_point.size());
+        for_wide([&](auto wide) {
+            const auto mapping = buffers[c].map_read<decltype(wide)>();
+            for_slots(n, [&](int64_t slot) {
+                for (int k = 0; slot_point[slot] >= 0 && k < rows; ++k)
+                    values[rows * int64_t{slot_point[slot]} + k] = mapping[k * n + slot];
+            });
+        });
+    }
+}
+
+void DeviceProblem::write_points(const double* values, int rows,
+                                 std::vector<Buffer>& buffers) const {
+    for (size_t c = 0; c < buffers.size(); ++c) {
+        const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
+        const auto n = static_cast<int64_t>(slot_point.size());
+        for_wide([&](auto wide) {
+            using Wide = decltype(wide);
+            const auto mapping = buffers[c].map_update<Wide>();
+            for_slots(n, [&](int64_t slot) {
+                for (int k = 0; slot_point[slot] >= 0 && k < rows; ++k)
+                    mapping[k * n + slot] =
+                        static_cast<Wide>(values[rows * int64_t{slot_point[slot]} + k]);
+            });
+        });
+    }
+}
+
+template <class Wide>
+void DeviceProblem::copy_images(const Wide* poses, const Wide* params, std::vector<Image>& images,
+                                std::vector<Camera>& cameras) const {
+    for (int32_t i = 0; i < num_images_; ++i)
+        download_pose(&poses[int64_t{pose_values()} * i], images[i].pose);
+    for (int32_t c = 0; c < num_cameras_; ++c) {
+        for (int32_t k = 0; k < most_camera_params_; ++k) {
+            const Wide value = params[most_camera_params_ * int64_t{c} + k];
+            double& kept = cameras[c].params[k];
+            if (value != static_cast<Wide>(kept)) kept = value;
+        }
+    }
+}
+
+void DeviceProblem::download_images(const State& from, std::vector<Image>& images,
+                                    std::vector<Camera>& cameras) const {
+    for_wide([&](auto wide) {
+        const auto poses = from.poses.map_read<decltype(wide)>();
+        const auto params = from.camera_params.map_read<decltype(wide)>();
+        copy_images(poses.data(), params.data(), images, cameras);
     });
 }
 

@@ -51,11 +51,18 @@ struct State {
     }
 };
 
+class PriorTerms;
+
+// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
+void split_position(double coordinate, float* parts, int64_t low);
+void split_position(double coordinate, double* parts, int64_t low);
+
 // A problem on a device: its structure in tiles, its measurements and two states. Everything that
 // is laid out on the device is translated to and from the caller's order here.
 class DeviceProblem {
 public:
     DeviceProblem(std::shared_ptr<Context> context, const Problem& problem, Precision precision);
+    ~DeviceProblem();
 
     Queue& queue() { return queue_; }
     Precision precision() const { return precision_; }
@@ -67,6 +74,14 @@ public:
 
     void upload_state(const Problem& problem);    // into `state`
     void download_state(Problem& problem) const;  // from `state`
+    // `state` as it is on the device, with every bit: poses, camera parameters, then the rows of
+    // each point in the caller's order.
+    std::vector<double> state_values() const;
+    size_t num_state_values() const;
+    void set_state_values(const std::vector<double>& values);
+    // Poses and the parameters of cameras, of a state.
+    void download_images(const State& from, std::vector<Image>& images,
+                         std::vector<Camera>& cameras) const;
     // trial = state moved by step; points only where step has an E side.
     void update(const Vector& step);
     // Launches a kernel over the tiles of a chunk for one of its segments: the arguments follow
@@ -92,6 +107,12 @@ public:
     }
     void write_wide(const std::vector<double>& values, Buffer& buffer) const;  // all of it
 
+    // What the problem has changed since: the owner's note. refresh() brings it up to date.
+    struct {
+        bool scales = false, measurements = false;
+    } is_stale;
+    void refresh(const Problem& problem);
+
     State state, trial;
 
     // Vectors: zero-filled, and between the caller's order (F scalars, then 3 a point) and ours.
@@ -104,6 +125,10 @@ public:
     std::vector<Buffer> make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
                                        const std::string& label);
     void upload(const double* values, Vector& vector) const;
+    // `rows` values a point, in the caller's order, from and to rows over point slots; spare slots
+    // stay.
+    void read_points(const std::vector<Buffer>& buffers, int rows, double* values) const;
+    void write_points(const double* values, int rows, std::vector<Buffer>& buffers) const;
     void download(const Vector& vector, double* values) const;
     // visit(observation, num_columns, value) for each observation's slot in buffers made by
     // make_slot_rows, in several threads; value(row) is a reference to what the slot has in that
@@ -115,6 +140,7 @@ public:
     void fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Visit&& visit);
 
     const VisibilityTiles& tiles() const { return tiles_; }
+    PriorTerms* priors() const { return priors_.get(); }  // NULL: there are none
     size_t num_segments() const;
 
     // Buffers of the F side.
@@ -137,8 +163,15 @@ private:
     static const std::string& camera_model_path(int32_t model);
     Buffer upload_wide(const std::vector<double>& values, const char* label);
     void upload_structure(const Problem& problem);
-    DeviceSegment upload_segment(const Problem& problem, const Segment& segment);
+    DeviceSegment upload_segment(const Segment& segment);
+    void upload_measurements(const Problem& problem, const Segment& segment,
+                             DeviceSegment& device_segment);
+    void upload_point_scales(const Problem& problem, const Chunk& chunk, DeviceChunk& device_chunk);
+    void upload_all_measurements(const Problem& problem);
     State make_state();
+    template <class Wide>
+    void copy_images(const Wide* poses, const Wide* params, std::vector<Image>& images,
+                     std::vector<Camera>& cameras) const;
     int pose_values() const { return 4 + 3 * position_parts(precision_); }
     template <class Visit>
     void for_wide(Visit&& visit) const {
@@ -154,6 +187,7 @@ private:
     int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0, most_camera_params_ = 0;
     std::vector<DeviceChunk> chunks_;
     Buffer image_camera_, camera_num_params_, camera_offsets_;
+    std::unique_ptr<PriorTerms> priors_;
 };
 
 template <class RowsOf>

@@ -2,6 +2,7 @@
 #include "linear/direct_solver.hpp"
 
 #include "base/stopwatch.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 namespace {
@@ -83,7 +84,7 @@ DirectSolver::DirectSolver(const Problem& problem, NormalEquations& equations)
     device_step_ = equations.problem().make_vector("the step");
 }
 
-LinearSolution DirectSolver::solve(double lambda) {
+LinearSolution DirectSolver::solve(double lambda, const StopTest& stop) {
     DeviceProblem& device = equations_.problem();
     download_jacobian(device, equations_.jacobian, jacobian_);
     zero_constant_columns(problem_, device.layout(), jacobian_);
@@ -94,8 +95,13 @@ LinearSolution DirectSolver::solve(double lambda) {
     for (double& d : damping_) d *= lambda;
     LinearSolution solution;
     solution.num_iterations = 1;
+    solution.stopped = stop.cause();
+    if (solution.stopped != StopCause::none) return solution;
     const Stopwatch watch;
-    solution.is_usable = direct_.solve(jacobian_, gradient_.data(), damping_.data(), step_.data());
+    const PriorTerms* priors = device.priors();
+    solution.is_usable =
+        direct_.solve(jacobian_, gradient_.data(), damping_.data(),
+                      priors ? priors->values() : std::vector<double>(), step_.data());
     solution.factorization_seconds = watch.seconds();
     solution.num_indefinite_blocks = direct_.num_indefinite();
     if (!solution.is_usable) return solution;

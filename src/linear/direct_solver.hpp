@@ -12,7 +12,7 @@ namespace clba {
 class DirectSolver : public LinearSolver {
 public:
     DirectSolver(const Problem& problem, NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override { full.copy_from(device_step_); }
     LinearSolverKind kind() const override { return LinearSolverKind::direct_schur; }
 

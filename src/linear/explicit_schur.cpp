@@ -3,17 +3,20 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
+#include "linear/prior_terms.hpp"
 #include "linear/reduced_system.hpp"
 
 namespace clba {
 namespace {
 
 constexpr int64_t blocks_per_group = 16;  // of kernels/schur_pairs.cl
+static_assert(num_pose_params + max_camera_params <= 20, "rows of kernels/schur_pairs.cl");
 
 // RECORD_BYTES of kernels/schur_records.clh.
 uint64_t record_bytes(int32_t max_columns, Precision precision) {
@@ -55,9 +58,12 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
     DeviceProblem& device = equations.problem();
     Queue& queue = device.queue();
     const ParameterLayout& layout = device.layout();
-    has_constants_ = std::any_of(layout.scale.begin(), layout.scale.end(),
-                                 [](double scale) { return !(scale > 0); });
+    const auto is_constant = [](double scale) { return !(scale > 0); };
+    if (std::any_of(layout.scale.begin(), layout.scale.end(), is_constant))
+        std::transform(layout.scale.begin(), layout.scale.end(), std::back_inserter(is_constant_),
+                       is_constant);
     if (has_shared_cameras_) list_targets(problem, pattern_);
+    if (device.priors()) list_prior_targets();
     if (!is_in_place()) values_.resize(static_cast<size_t>(cholesky_.num_values()));
     std::vector<int32_t> rows, columns;
     for (int32_t i = 0; i < problem.num_images(); ++i) {
@@ -131,6 +137,30 @@ void ExplicitSchur::list_targets(const Problem& problem, const BlockPattern& pat
     }
 }
 
+// P has no entry outside of the blocks of S: its diagonal blocks, and those of two poses with a
+// prior of their relative pose.
+void ExplicitSchur::list_prior_targets() {
+    const ParameterLayout& layout = equations_.problem().layout();
+    const reference::ImagePriors& priors = equations_.problem().priors()->image_priors();
+    std::vector<int32_t> block_of(static_cast<size_t>(layout.num_f));
+    for (int32_t b = 0; b < pattern_.num_blocks(); ++b)
+        std::fill_n(block_of.begin() + layout.blocks[b].offset, layout.blocks[b].size, b);
+    for (size_t i = 0; i < priors.rows().size(); ++i) {
+        const int32_t row = block_of[priors.rows()[i]];
+        const int32_t r = priors.rows()[i] - layout.blocks[row].offset;
+        const auto begin = pattern_.columns.begin() + pattern_.row_begin[row];
+        const auto end = pattern_.columns.begin() + pattern_.row_begin[row + 1];
+        for (int32_t k = priors.row_begin()[i]; k < priors.row_begin()[i + 1]; ++k) {
+            const int32_t column = block_of[priors.columns()[k]];
+            if (column > row) continue;
+            const int64_t entry = std::lower_bound(begin, end, column) - pattern_.columns.begin();
+            const int32_t c = priors.columns()[k] - layout.blocks[column].offset;
+            prior_targets_.push_back(
+                {cholesky_.value_offset(entry) + int64_t{r} * layout.blocks[column].size + c, k});
+        }
+    }
+}
+
 void ExplicitSchur::form_blocks() {
     DeviceProblem& device = equations_.problem();
     Queue& queue = device.queue();
@@ -161,42 +191,43 @@ void ExplicitSchur::form_blocks() {
     }
 }
 
-// Adds lambda D^2, and leaves constants out.
-void ExplicitSchur::finish_values(double lambda, double* values) {
+void ExplicitSchur::leave_out(const std::vector<char>& is_left_out, double* values) const {
     const ParameterLayout& layout = equations_.problem().layout();
-    const auto is_free = [&](int32_t scalar) { return layout.scale[scalar] > 0; };
     for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
         const ParameterBlock& block = layout.blocks[row];
-        for (int64_t entry = pattern_.row_begin[row];
-             has_constants_ && entry < pattern_.row_begin[row + 1]; ++entry) {
+        for (int64_t entry = pattern_.row_begin[row]; entry < pattern_.row_begin[row + 1];
+             ++entry) {
             const ParameterBlock& other = layout.blocks[pattern_.columns[entry]];
             double* at = values + cholesky_.value_offset(entry);
             for (int32_t r = 0; r < block.size; ++r)
                 for (int32_t c = 0; c < other.size; ++c)
-                    if (!is_free(block.offset + r) || !is_free(other.offset + c))
-                        at[r * other.size + c] = 0;
-        }
-        double* diagonal = values + cholesky_.value_offset(pattern_.row_begin[row + 1] - 1);
-        for (int32_t k = 0; k < block.size; ++k) {
-            double& value = diagonal[k * (block.size + 1)];
-            value = is_free(block.offset + k) ? value + lambda * damping_[block.offset + k] : 1.0;
+                    if (is_left_out[block.offset + r] || is_left_out[other.offset + c])
+                        at[r * other.size + c] = block.offset + r == other.offset + c ? 1.0 : 0.0;
         }
     }
 }
 
-bool ExplicitSchur::factorize(double lambda, double& seconds) {
-    const auto timed = [&](const double* values) {
-        const Stopwatch watch;
-        const bool is_definite = cholesky_.factorize(values);
-        seconds += watch.seconds();
-        return is_definite;
-    };
+// Adds priors and lambda D^2, and leaves constants out.
+void ExplicitSchur::finish_values(double lambda, double* values) {
+    const ParameterLayout& layout = equations_.problem().layout();
+    for (const PriorTarget& target : prior_targets_)
+        values[target.value] += equations_.problem().priors()->values()[target.source];
+    for (int32_t row = 0; row < pattern_.num_blocks(); ++row) {
+        const ParameterBlock& block = layout.blocks[row];
+        double* diagonal = values + cholesky_.value_offset(pattern_.row_begin[row + 1] - 1);
+        for (int32_t k = 0; k < block.size; ++k)
+            diagonal[k * (block.size + 1)] += lambda * damping_[block.offset + k];
+    }
+    if (!is_constant_.empty()) leave_out(is_constant_, values);
+}
+
+void ExplicitSchur::use_values(double lambda, const std::function<void(double*)>& use) {
     DeviceProblem& device = equations_.problem();
     device.read_wide(equations_.damping().f, damping_, damping_.size());
     if (is_in_place()) {
         const auto blocks = blocks_.map_update<double>();
         finish_values(lambda, blocks.data());
-        return timed(blocks.data());
+        return use(blocks.data());
     }
     with_wide(device.precision(), [&](auto wide) {
         const auto blocks = blocks_.map_read<decltype(wide)>();
@@ -219,17 +250,24 @@ bool ExplicitSchur::factorize(double lambda, double& seconds) {
         }
     });
     finish_values(lambda, values_.data());
-    return timed(values_.data());
+    use(values_.data());
 }
 
-LinearSolution ExplicitSchur::solve(double lambda) {
+LinearSolution ExplicitSchur::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     solution.num_iterations = 1;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
     form_blocks();
-    if (!factorize(lambda, solution.factorization_seconds)) {
-        solution.num_indefinite_blocks = 1;
+    bool is_definite = false;
+    use_values(lambda, [&](const double* values) {
+        const Stopwatch watch;
+        is_definite = cholesky_.factorize(values, stop);
+        solution.factorization_seconds = watch.seconds();
+    });
+    if (!is_definite) {
+        solution.stopped = stop.cause();
+        solution.num_indefinite_blocks = solution.stopped == StopCause::none;
         return solution;
     }
     step_.fill_zero();

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -21,12 +22,19 @@ public:
 
     // Slices whose records fit the caches, with work for every compute unit.
     static SliceSize slice_size(DeviceProblem& problem);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::explicit_schur; }
 
     // Leaves the blocks of U - W V^-1 W^T on the device.
     void form_blocks();
+    // use(values) with S + lambda D^2 as form_blocks left it, in the order of pattern()'s entries;
+    // constants are left out. Values may be changed.
+    void use_values(double lambda, const std::function<void(double*)>& use);
+    // Puts rows and columns of the identity in place of those that are marked.
+    void leave_out(const std::vector<char>& is_left_out, double* values) const;
+    const BlockPattern& pattern() const { return pattern_; }
+    BlockCholesky<double>& cholesky() { return cholesky_; }
 
 private:
     // Part of a block of pairs that goes to a block of S.
@@ -38,7 +46,7 @@ private:
     };
 
     void list_targets(const Problem& problem, const BlockPattern& pattern);
-    bool factorize(double lambda, double& seconds);  // adds what it took
+    void list_prior_targets();
     void finish_values(double lambda, double* values);
 
     NormalEquations& equations_;
@@ -51,9 +59,14 @@ private:
     bool is_in_place() const {
         return !has_shared_cameras_ && equations_.problem().precision() != Precision::single;
     }
-    bool has_constants_;
-    std::vector<Target> targets_;  // only if there are shared cameras
-    std::vector<double> values_;   // of S, likewise
+    std::vector<char> is_constant_;  // of each scalar; empty if none is
+    std::vector<Target> targets_;    // only if there are shared cameras
+    std::vector<double> values_;     // of S, likewise
+    struct PriorTarget {
+        int64_t value;   // of S
+        int32_t source;  // of P (prior_terms.hpp)
+    };
+    std::vector<PriorTarget> prior_targets_;
     std::vector<double> damping_, right_side_;
     int32_t max_columns_ = 0;
     // On the device.

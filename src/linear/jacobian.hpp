@@ -51,8 +51,8 @@ public:
     BackSubstitution back_substitute(const Vector& step, const std::vector<Buffer>& point_gradient,
                                      const std::vector<Buffer>& point_factors);
 
-    // The step of the points that back_substitute found: 3 rows of REAL a chunk, until the next
-    // product.
+    // The step of the points that back_substitute found, or the E side that multiply was given: 3
+    // rows of REAL a chunk, until the next product.
     const std::vector<Buffer>& point_step() const { return point_real_; }
 
     // U as packed lower triangles at matrix_offset.

@@ -7,6 +7,7 @@
 #include "linear/direct_solver.hpp"
 #include "linear/explicit_schur.hpp"
 #include "linear/pcg_solvers.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 
@@ -32,8 +33,10 @@ void take_step(NormalEquations& equations, const Vector& gradient, const Vector&
     DeviceProblem& problem = equations.problem();
     VectorOperations& vectors = problem.vectors();
     problem.update(step);
-    solution.model_decrease =
-        -vectors.dot(gradient, step) - 0.5 * equations.jacobian.squared_norm(step);
+    double squared_norm = equations.jacobian.squared_norm(step);
+    if (problem.priors())
+        squared_norm += problem.priors()->squared_norm(step, equations.jacobian.point_step());
+    solution.model_decrease = -vectors.dot(gradient, step) - 0.5 * squared_norm;
     solution.step_norm = std::sqrt(vectors.dot(step, step));
 }
 

@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "base/error.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 
@@ -95,7 +96,10 @@ double NormalEquations::gradient_max_norm() {
 
 const Buffer& NormalEquations::u() {
     if (!u_) u_ = Buffer(queue_, problem_.matrices_bytes(), "image blocks");
-    if (!has_u_) jacobian.image_blocks(u_);
+    if (!has_u_) {
+        jacobian.image_blocks(u_);
+        if (problem_.priors()) problem_.priors()->add_image_blocks(u_);
+    }
     has_u_ = true;
     return u_;
 }
@@ -109,6 +113,22 @@ void NormalEquations::get_damping(Vector& full) {
     for (size_t c = 0; c < full.e.size(); ++c) full.e[c].copy_from(fixed_point_damping_[c]);
 }
 
+std::vector<double> NormalEquations::fixed_damping() {
+    if (options_.policy != Damping::levenberg) return {};
+    Vector full = problem_.make_vector("the damping");
+    get_damping(full);
+    std::vector<double> values(static_cast<size_t>(problem_.layout().num_f) +
+                               3 * static_cast<size_t>(problem_.num_points()));
+    problem_.download(full, values.data());
+    return values;
+}
+
+void NormalEquations::set_fixed_damping(const std::vector<double>& values) {
+    const auto num_f = static_cast<std::ptrdiff_t>(problem_.layout().num_f);
+    problem_.write_wide({values.begin(), values.begin() + num_f}, d2_.f);
+    problem_.write_points(values.data() + num_f, 3, fixed_point_damping_);
+}
+
 int64_t NormalEquations::read_failures(int64_t groups) {
     std::vector<int32_t> counts(static_cast<size_t>(groups * queue_.tuning().work_group_size));
     failures_.read(counts.data(), counts.size() * sizeof(int32_t));
@@ -116,11 +136,20 @@ int64_t NormalEquations::read_failures(int64_t groups) {
 }
 
 int64_t NormalEquations::factor_points(double lambda) {
+    return launch_point_factors(lambda, defines_);
+}
+
+void NormalEquations::factor_undamped_points() {
+    launch_point_factors(0, defines_ + " -DLEAST_PIVOT_SHARE=1e-12");
+}
+
+int64_t NormalEquations::launch_point_factors(double lambda, const std::string& defines) {
     int64_t failures = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         const int64_t groups = num_groups(chunk.num_point_slots);
-        queue_.launch(Step::preconditioner, kernel("factor_point_blocks"), groups,
+        queue_.launch(Step::preconditioner,
+                      queue_.kernel("factors.cl", "factor_point_blocks", defines), groups,
                       options_.min_diagonal, options_.max_diagonal, lambda, chunk.num_point_slots,
                       point_roots[c], chunk.point_scale_or_null(),
                       fixed_point_damping_.empty() ? nullptr : &fixed_point_damping_[c],
@@ -137,6 +166,7 @@ int64_t NormalEquations::factor_image_blocks(double lambda) {
 
 int64_t NormalEquations::factor_schur_blocks(double lambda) {
     jacobian.schur_blocks(point_factors_, image_factors_);
+    if (problem_.priors()) problem_.priors()->add_image_blocks(image_factors_);
     return factor_images(lambda);
 }
 

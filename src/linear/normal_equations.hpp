@@ -16,7 +16,8 @@ struct DampingOptions {
     double max_diagonal = 1e32;
 };
 
-// (J^T J + lambda D^2) delta = -gradient at the current state. The evaluator fills what is public.
+// (H + lambda D^2) delta = -gradient at the current state, with H = J^T J and what priors add to it
+// (prior_terms.hpp): to U as P, to V in its roots. The evaluator fills what is public.
 class NormalEquations {
 public:
     NormalEquations(DeviceProblem& problem, const DampingOptions& damping, JacobianForm form,
@@ -29,7 +30,7 @@ public:
     // The same as WIDEs: filled by linearisations after keep_wide_gradient().
     std::vector<Buffer> wide_point_gradient;
     void keep_wide_gradient();
-    Vector diagonal;                  // of J_F^T J_F
+    Vector diagonal;                  // of U
     std::vector<Buffer> point_roots;  // L of V = L L^T: 6 rows of REAL a chunk
     Buffer tile_max;                  // of |point_gradient|, tile by tile of all chunks
 
@@ -37,14 +38,22 @@ public:
     void update_damping();
 
     double gradient_max_norm();
-    const Buffer& u();                             // diagonal blocks of J_F^T J_F, packed
+    const Buffer& u();                             // diagonal blocks, packed
     const Vector& damping() const { return d2_; }  // D^2 of the F side
+    // D^2 of F and 3 a point, in the caller's order, where the first linearisation fixes it for all
+    // that follow; else nothing.
+    std::vector<double> fixed_damping();
+    void set_fixed_damping(const std::vector<double>& values);  // after a linearisation
     // F and E together.
     void get_gradient(Vector& full);
     void get_damping(Vector& full);
 
     // Inverse factors of blocks + lambda D^2; return how many are not positive definite.
     int64_t factor_points(double lambda);
+    // The same without damping, for points whose V is not positive definite too: a coordinate of
+    // which elimination of those before it leaves a share of 1e-12 or less of its diagonal entry is
+    // left out of G, whose row is 0. W G^T G W^T is then that of every generalised inverse of V.
+    void factor_undamped_points();
     int64_t factor_image_blocks(double lambda);  // of U
     int64_t factor_schur_blocks(double lambda);  // of U - W V_lambda^-1 W^T, after factor_points
     const std::vector<Buffer>& point_factors() const { return point_factors_; }
@@ -55,6 +64,7 @@ public:
 
 private:
     Kernel& kernel(const char* name);
+    int64_t launch_point_factors(double lambda, const std::string& defines);
     int64_t num_groups(int64_t n) const;
     int64_t read_failures(int64_t groups);
     void update_point_damping(std::vector<Buffer>& d2);

@@ -29,7 +29,9 @@ Pcg::Pcg(const PcgOptions& options, Queue& queue, VectorOperations& vectors, Vec
       controls_(queue, 2 * num_controls * wide_bytes(vectors.precision()), "PCG"),
       host_controls_(2 * num_controls) {}
 
-PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, Vector& r, Vector& x) {
+PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, Vector& r, Vector& x,
+                     const StopTest& stop) {
+    PcgResult result;
     const auto kernel = [&](const char* name) -> Kernel& {
         return queue_.kernel("pcg.cl", name, vectors_.defines());
     };
@@ -61,11 +63,12 @@ PcgResult Pcg::solve(PcgSystem& system, double lambda, const Vector& d2, Vector&
         if (k % interval == 0 || k == options_.max_iterations) {
             vectors_.read_wide(controls_, host_controls_, host_controls_.size());
             if (host_controls_[after + status] != running) break;
+            result.stopped = stop.cause();
+            if (result.stopped != StopCause::none) break;
         }
         system.precondition(r, zq_);
         vectors_.dot_partials(r, zq_, partials_, next_rho * num_partials_);
     }
-    PcgResult result;
     result.num_iterations = static_cast<int>(host_controls_[after + iterations]);
     result.is_usable = host_controls_[after + status] == converged ||
                        (host_controls_[after + status] != not_finite && result.num_iterations > 0);

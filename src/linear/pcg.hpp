@@ -2,6 +2,7 @@
 #pragma once
 #include <vector>
 
+#include "base/stop_test.hpp"
 #include "linear/vector.hpp"
 
 namespace clba {
@@ -23,6 +24,7 @@ struct PcgOptions {
 struct PcgResult {
     bool is_usable = false;
     int num_iterations = 0;
+    StopCause stopped = StopCause::none;
 };
 
 // Preconditioned conjugate gradients. The device decides where they end: the host looks whether
@@ -37,8 +39,10 @@ public:
     // iteration k improves the quadratic model Q(x) = 1/2 x^T A x - b^T x by a share less than eta
     // / k: k (Q_k - Q_k-1) / Q_k < eta (Nash and Sofer, "Assessing a search direction within a
     // truncated-Newton method", 1990). On negative curvature, or a number that is not finite, what
-    // was found before is kept; it is usable if there was an iteration.
-    PcgResult solve(PcgSystem& system, double lambda, const Vector& d2, Vector& r, Vector& x);
+    // was found before is kept; it is usable if there was an iteration. So it is where `stop`,
+    // asked whenever the host looks, ends the iterations.
+    PcgResult solve(PcgSystem& system, double lambda, const Vector& d2, Vector& r, Vector& x,
+                    const StopTest& stop = {});
 
 private:
     PcgOptions options_;

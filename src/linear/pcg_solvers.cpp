@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/pcg_solvers.hpp"
 
+#include "linear/prior_terms.hpp"
 #include "linear/reduced_system.hpp"
 
 namespace clba {
@@ -27,7 +28,7 @@ PcgHessian::PcgHessian(const LinearSolverOptions& options, NormalEquations& equa
     step_ = problem.make_vector("the step");
 }
 
-LinearSolution PcgHessian::solve(double lambda) {
+LinearSolution PcgHessian::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     VectorOperations& vectors = equations_.problem().vectors();
     solution.num_indefinite_blocks =
@@ -36,9 +37,10 @@ LinearSolution PcgHessian::solve(double lambda) {
     equations_.get_gradient(gradient_);
     equations_.get_damping(damping_);
     vectors.scale_and_add(-1.0, gradient_, 0.0, residual_);
-    const PcgResult result = pcg_.solve(*this, lambda, damping_, residual_, step_);
+    const PcgResult result = pcg_.solve(*this, lambda, damping_, residual_, step_, stop);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    solution.stopped = result.stopped;
     if (solution.is_usable) take_step(equations_, gradient_, step_, solution);
     return solution;
 }
@@ -50,6 +52,10 @@ void PcgHessian::get_step(Vector& full) {
 void PcgHessian::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.multiply(p);
     equations_.jacobian.add_transposed(q);
+    if (PriorTerms* priors = equations_.problem().priors()) {
+        priors->add_image_product(p.f, q.f);
+        priors->add_point_product(p.e, q.e);
+    }
 }
 
 void PcgHessian::precondition(const Vector& r, Vector& z) {
@@ -67,22 +73,30 @@ PcgSchur::PcgSchur(const LinearSolverOptions& options, NormalEquations& equation
     step_ = problem.make_reduced_vector("the step");
 }
 
-LinearSolution PcgSchur::solve(double lambda) {
+LinearSolution PcgSchur::solve(double lambda, const StopTest& stop) {
     LinearSolution solution;
     solution.num_indefinite_blocks = equations_.factor_points(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
-    solution.num_indefinite_blocks = preconditioner_ == Preconditioner::schur_jacobi
-                                         ? equations_.factor_schur_blocks(lambda)
-                                         : equations_.factor_image_blocks(lambda);
+    solution.num_indefinite_blocks = factor_preconditioner(lambda);
     if (solution.num_indefinite_blocks > 0) return solution;
 
     step_.fill_zero();
     reduced_right_side(equations_, step_, residual_);
-    const PcgResult result = pcg_.solve(*this, lambda, equations_.damping(), residual_, step_);
+    const PcgResult result = solve_system(lambda, residual_, step_, stop);
     solution.is_usable = result.is_usable;
     solution.num_iterations = result.num_iterations;
+    solution.stopped = result.stopped;
     if (solution.is_usable) take_reduced_step(equations_, step_, solution);
     return solution;
+}
+
+int64_t PcgSchur::factor_preconditioner(double lambda) {
+    return preconditioner_ == Preconditioner::schur_jacobi ? equations_.factor_schur_blocks(lambda)
+                                                           : equations_.factor_image_blocks(lambda);
+}
+
+PcgResult PcgSchur::solve_system(double lambda, Vector& r, Vector& x, const StopTest& stop) {
+    return pcg_.solve(*this, lambda, equations_.damping(), r, x, stop);
 }
 
 void PcgSchur::get_step(Vector& full) {
@@ -91,6 +105,7 @@ void PcgSchur::get_step(Vector& full) {
 
 void PcgSchur::add_product(const Vector& p, Vector& q) {
     equations_.jacobian.add_schur_product(p, equations_.point_factors(), q);
+    if (PriorTerms* priors = equations_.problem().priors()) priors->add_image_product(p.f, q.f);
 }
 
 void PcgSchur::precondition(const Vector& r, Vector& z) {

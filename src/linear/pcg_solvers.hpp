@@ -10,7 +10,7 @@ namespace clba {
 class PcgHessian : public LinearSolver, private PcgSystem {
 public:
     PcgHessian(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::pcg_hessian; }
 
@@ -28,14 +28,20 @@ private:
 class PcgSchur : public LinearSolver, private PcgSystem {
 public:
     PcgSchur(const LinearSolverOptions& options, NormalEquations& equations);
-    LinearSolution solve(double lambda) override;
+    LinearSolution solve(double lambda, const StopTest& stop) override;
     // Of the solves to come.
     void limit_iterations(int max_iterations) { pcg_.limit_iterations(max_iterations); }
     void get_step(Vector& full) override;
     LinearSolverKind kind() const override { return LinearSolverKind::pcg_schur; }
 
+    // How many blocks of the preconditioner are not positive definite: those count as constant. To
+    // be called after factor_points.
+    int64_t factor_preconditioner(double lambda);
+    // S x = r for any r of the F side, which holds the residual afterwards.
+    PcgResult solve_system(double lambda, Vector& r, Vector& x, const StopTest& stop = {});
+    void add_product(const Vector& p, Vector& q) override;  // q += S p, undamped
+
 private:
-    void add_product(const Vector& p, Vector& q) override;
     void precondition(const Vector& r, Vector& z) override;
 
     Preconditioner preconditioner_;

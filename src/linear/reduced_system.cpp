@@ -3,6 +3,8 @@
 
 #include <cmath>
 
+#include "linear/prior_terms.hpp"
+
 namespace clba {
 
 void reduced_right_side(NormalEquations& equations, const Vector& zero, Vector& b) {
@@ -16,8 +18,11 @@ void take_reduced_step(NormalEquations& equations, const Vector& step, LinearSol
     problem.update(step);
     const BackSubstitution points = equations.jacobian.back_substitute(
         step, equations.point_gradient, equations.point_factors());
-    solution.model_decrease =
-        -(vectors.dot(equations.gradient, step) + points.slope) - 0.5 * points.squared_norm;
+    const double of_priors =
+        problem.priors() ? problem.priors()->squared_norm(step, equations.jacobian.point_step())
+                         : 0;
+    solution.model_decrease = -(vectors.dot(equations.gradient, step) + points.slope) -
+                              0.5 * (points.squared_norm + of_priors);
     solution.step_norm = std::sqrt(vectors.dot(step, step) + points.squared_point_steps);
 }
 

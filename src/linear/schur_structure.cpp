@@ -140,6 +140,12 @@ SchurStructure::SchurStructure(const Problem& problem, const VisibilityTiles& ti
         for (int32_t j : row) is_seen[j] = 0;
         std::sort(row.begin(), row.end());
     });
+    for (const RelativePosePrior& prior : problem.priors.relative_poses) {
+        std::vector<int32_t>& row = rows[std::max(prior.first, prior.second)];
+        const int32_t column = std::min(prior.first, prior.second);
+        const auto at = std::lower_bound(row.begin(), row.end(), column);
+        if (at == row.end() || *at != column) row.insert(at, column);
+    }
     row_begin.assign(static_cast<size_t>(num_images_) + 1, 0);
     for (int32_t i = 0; i < num_images_; ++i)
         row_begin[i + 1] = row_begin[i] + static_cast<int64_t>(rows[i].size());

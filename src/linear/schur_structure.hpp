@@ -16,14 +16,14 @@ struct SliceSize {
     int64_t num_records = 0;
 };
 
-// Which images see points in common: the blocks of U - W V^-1 W^T, an image a block row, and the
-// pairs of observations that add to each block, slice by slice.
+// Which images see points in common or have a prior of their relative pose: the blocks of
+// U - W V^-1 W^T, an image a block row, and the pairs of observations that add to each block, slice
+// by slice.
 class SchurStructure {
 public:
     SchurStructure(const Problem& problem, const VisibilityTiles& tiles, const SliceSize& size);
 
-    // Block (i, j) with j <= i for each pair of images that see a point in common, and (i, i) for
-    // all.
+    // Block (i, j) with j <= i for each such pair of images, and (i, i) for all.
     std::vector<int64_t> row_begin;  // first block of each image's row, and end
     std::vector<int32_t> columns;    // ascending in a row
     int64_t num_blocks() const { return static_cast<int64_t>(columns.size()); }

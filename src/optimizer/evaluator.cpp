@@ -2,6 +2,7 @@
 #include "optimizer/evaluator.hpp"
 
 #include "base/error.hpp"
+#include "linear/prior_terms.hpp"
 
 namespace clba {
 namespace {
@@ -67,6 +68,8 @@ CostEvaluation Evaluator::cost(const State& state, std::vector<Buffer>* residual
         evaluation.num_behind += static_cast<int64_t>(sums_[i + 1]);
         evaluation.num_singular += static_cast<int64_t>(sums_[i + 2]);
     }
+    if (problem_.priors()) evaluation.prior_cost = problem_.priors()->cost(state);
+    evaluation.cost += evaluation.prior_cost;
     return evaluation;
 }
 
@@ -74,31 +77,38 @@ void Evaluator::linearize(NormalEquations& equations) {
     // Stages of kernels/linearize.cl.
     constexpr int zero_stage = 1, runs_stage = 2, finish_stage = 4;
     Jacobian& jacobian = equations.jacobian;
+    PriorTerms* const priors = problem_.priors();
+    const bool has_point_priors = priors && priors->has_points();
+    const std::string of_priors = has_point_priors ? " -DPOINT_PRIORS=1" : "";
     problem_.update_image_records(problem_.state);
     equations.gradient.fill_zero();
     equations.diagonal.fill_zero();
     size_t index = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
+        const PriorTerms::Points* points = has_point_priors ? &priors->points(c) : nullptr;
         for (size_t s = 0; s < chunk.segments.size(); ++s) {
             const DeviceSegment& segment = chunk.segments[s];
             const int stages = (s == 0 ? zero_stage : 0) | runs_stage |
                                (s + 1 == chunk.segments.size() ? finish_stage : 0);
             problem_.launch_groups(
                 num_groups(chunk), Step::jacobian, "linearize.cl", "linearize",
-                jacobian.defines(index) + defines(segment), chunk, segment, stages, chunk.num_tiles,
-                segment.xy, segment.whitening ? &segment.whitening : nullptr,
+                jacobian.defines(index) + defines(segment) + of_priors, chunk, segment, stages,
+                chunk.num_tiles, segment.xy, segment.whitening ? &segment.whitening : nullptr,
                 problem_.state.image_records, problem_.state.points[c], loss_.scale,
                 chunk.point_scale_or_null(), jacobian.rows()[index], jacobian.run_sums(),
                 point_capacity_, point_sums_, equations.point_roots[c], equations.point_gradient[c],
                 equations.wide_point_gradient.empty() ? nullptr : &equations.wide_point_gradient[c],
-                chunk.first_tile, equations.tile_max, queue_.scratch());
+                points ? points->num_priors : 0, points ? &points->prior_of_slot : nullptr,
+                points ? &points->values : nullptr, chunk.first_tile, equations.tile_max,
+                queue_.scratch());
             jacobian.reduce_wide_runs(index, false, equations.gradient.f);
             jacobian.reduce_wide_runs(index, true, equations.diagonal.f);
             ++index;
         }
     }
     problem_.vectors().mask_constants(problem_.scale_f, equations.gradient.f);
+    if (priors) priors->linearize(equations.gradient, equations.diagonal);
     equations.update_damping();
 }
 

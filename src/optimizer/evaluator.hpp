@@ -11,7 +11,8 @@
 namespace clba {
 
 struct CostEvaluation {
-    double cost = 0;           // 1/2 sum rho(|r|^2)
+    double cost = 0;           // 1/2 sum rho(|r|^2), and that of priors
+    double prior_cost = 0;     // of it
     int64_t num_behind = 0;    // observations of points behind their camera
     int64_t num_singular = 0;  // observations in the camera's own plane
 };

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
+#include <atomic>
 #include <functional>
 #include <limits>
+#include <optional>
+#include <string>
 
 #include "linear/device_problem.hpp"
 #include "linear/linear_solver.hpp"
+#include "optimizer/checkpoint.hpp"
 #include "optimizer/summary.hpp"
 
 namespace clba {
@@ -26,12 +30,18 @@ struct MinimizerOptions {
     double target_cost = 0;
     double max_seconds = std::numeric_limits<double>::infinity();
     std::function<bool(const IterationRow&)> on_iteration;  // true: go on
+    const std::atomic<bool>* cancelled = nullptr;
+    std::string checkpoint_path;  // empty: none is written
+    int checkpoint_every = 10;    // iterations; 0: only at the end
+    std::string resume_path;      // empty: from the start
 };
 
-// Minimises the cost by Levenberg-Marquardt from device.state, which holds the best state found at
-// the end, and fills the summary's rows, counts and times but for what surrounds the loop. `host`
-// has the problem's structure. start_seconds: wall time that passed before.
+// Minimises the cost by Levenberg-Marquardt from device.state, or from a checkpoint of the key,
+// which holds the best state found at the end, and fills the summary's rows, counts and times but
+// for what surrounds the loop. `host` has the problem's structure. start_seconds: wall time that
+// passed before.
 void minimize(const MinimizerOptions& options, const Problem& host, DeviceProblem& device,
+              const CheckpointKey& key, const std::optional<Checkpoint>& resumed,
               double start_seconds, Summary& summary);
 
 }  // namespace clba

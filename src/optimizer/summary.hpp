@@ -7,6 +7,7 @@
 
 #include "device/queue.hpp"
 #include "linear/linear_solver.hpp"
+#include "reference/gauge.hpp"
 
 namespace clba {
 
@@ -23,7 +24,8 @@ enum class Reason : int {
     invalid_steps = 8,
     invalid_start = 9,
     callback = 10,
-    nothing_to_do = 11
+    nothing_to_do = 11,
+    cancelled = 12
 };
 
 // Fields as in clba_iteration.
@@ -40,6 +42,8 @@ struct IterationRow {
     double gain_ratio = 0;
     double trust_region_radius = 0;
     double seconds = 0;
+    int remaining_iterations = -1;
+    double remaining_seconds = -1;
 };
 
 // Fields as in clba_summary.
@@ -59,12 +63,17 @@ struct Summary {
     int64_t num_behind_initial = 0, num_behind_final = 0, num_singular = 0;
     int64_t num_indefinite_blocks = 0;
     double initial_cost = 0, final_cost = 0, reference_final_cost = 0;
+    double initial_prior_cost = 0, final_prior_cost = 0;  // of the costs
+    reference::GaugeState gauge;
     double total_seconds = 0, build_seconds = 0, setup_seconds = 0, linearize_seconds = 0;
     double factorization_seconds = 0;
     double linear_solver_seconds = 0, evaluate_seconds = 0, reference_seconds = 0;
     std::array<double, num_steps> step_seconds{};
     uint64_t peak_device_bytes = 0;
     std::string device;
+    int resumed_iteration = 0;  // of the checkpoint
+    int num_checkpoints = 0;
+    std::string checkpoint_error;  // of the last one that could not be written
     std::vector<IterationRow> rows;
 };
 

@@ -8,9 +8,11 @@ namespace clba {
 // method", IMM-REP-1999-05).
 class TrustRegion {
 public:
-    TrustRegion(double radius, double max_radius) : radius_(radius), max_radius_(max_radius) {}
+    TrustRegion(double radius, double max_radius, double shrink_factor = 2)
+        : radius_(radius), max_radius_(max_radius), shrink_factor_(shrink_factor) {}
     double radius() const { return radius_; }
     double lambda() const { return 1 / radius_; }
+    double shrink_factor() const { return shrink_factor_; }  // of the next rejection
 
     void accept(double gain_ratio) {
         const double x = 2 * gain_ratio - 1;
@@ -25,7 +27,7 @@ public:
 private:
     double radius_;
     double max_radius_;
-    double shrink_factor_ = 2;
+    double shrink_factor_;
 };
 
 }  // namespace clba

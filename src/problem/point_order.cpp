@@ -101,14 +101,14 @@ private:
     std::vector<int32_t> shared_;  // points shared with the image at work; 0 if not found from it
 };
 
+}  // namespace
+
 int64_t require_countable(const Problem& problem) {
     constexpr int64_t most = std::numeric_limits<int32_t>::max();
     require(problem.num_observations() <= most, "there are ", problem.num_observations(),
             " observations, but a problem on a device has at most ", most);
     return problem.num_observations();
 }
-
-}  // namespace
 
 Visibility::Visibility(const Problem& problem)
     : sights_(new Sight[static_cast<size_t>(require_countable(problem))]),

@@ -8,6 +8,9 @@
 
 namespace clba {
 
+// The number of observations; throws where it is beyond 32 bits.
+int64_t require_countable(const Problem& problem);
+
 // An observation of a point: who sees it, and the caller's row.
 struct Sight {
     int32_t image;

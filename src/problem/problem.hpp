@@ -7,14 +7,10 @@
 
 #include "problem/camera_model.hpp"
 #include "problem/loss.hpp"
+#include "problem/pose.hpp"
+#include "problem/priors.hpp"
 
 namespace clba {
-
-// Camera from world: P = R X + t.
-struct Pose {
-    std::array<double, 4> rotation{1, 0, 0, 0};  // unit quaternion w, x, y, z
-    std::array<double, 3> translation{0, 0, 0};
-};
 
 struct Camera {
     int32_t model = camera_snavely;
@@ -26,8 +22,6 @@ struct Image {
     int32_t camera = 0;
     Pose pose;
 };
-
-using Point = std::array<double, 3>;
 
 struct Observation {
     int32_t image = 0;
@@ -60,6 +54,8 @@ struct Problem {
 
     Loss loss;
 
+    Priors priors;
+
     int32_t num_images() const { return static_cast<int32_t>(images.size()); }
     int32_t num_cameras() const { return static_cast<int32_t>(cameras.size()); }
     int32_t num_points() const { return static_cast<int32_t>(points.size()); }
@@ -69,16 +65,5 @@ struct Problem {
     // finite, indices in range, quaternions of unit length (to 1e-6).
     void validate() const;
 };
-
-Point camera_center(const Pose& pose);  // -R^T t
-
-// Row-major 3x3 rotation of a unit quaternion.
-std::array<double, 9> rotation_matrix(const std::array<double, 4>& quaternion);
-// exp([w]_x) for a rotation vector w, and its inverse with an angle in [0, pi].
-std::array<double, 4> quaternion_from_rotation_vector(const std::array<double, 3>& w);
-std::array<double, 3> rotation_vector_from_quaternion(const std::array<double, 4>& quaternion);
-std::array<double, 4> normalized(const std::array<double, 4>& quaternion);
-std::array<double, 4> quaternion_product(const std::array<double, 4>& a,
-                                         const std::array<double, 4>& b);
 
 }  // namespace clba

@@ -176,6 +176,35 @@ Cost residual(const Problem& problem, double* residuals) {
     return total;
 }
 
+void visit_errors(const Problem& problem, int64_t first, int64_t count,
+                  const std::function<void(int64_t, const ReprojectionError&)>& visit) {
+    constexpr int64_t grain = 1 << 12;
+    const auto rotations = image_rotations(problem);
+    parallel_ranges(count, grain, [&](int64_t begin, int64_t end) {
+        for (int64_t i = first + begin; i < first + end; ++i)
+            measure(problem, rotations, i, [&](const Measured& m) {
+                const Observation& o = problem.observations[i];
+                visit(i, {std::hypot(m.projection.pixel.x() - o.x, m.projection.pixel.y() - o.y),
+                          m.whitened.norm(), m.projection.is_behind, m.projection.is_singular});
+            });
+    });
+}
+
+std::vector<double> mean_reprojection_errors(const Problem& problem) {
+    std::vector<double> distances(problem.observations.size());
+    visit_errors(problem, 0, problem.num_observations(),
+                 [&](int64_t i, const ReprojectionError& error) { distances[i] = error.pixels; });
+    std::vector<double> errors(problem.points.size());
+    std::vector<int64_t> counts(problem.points.size());
+    for (size_t i = 0; i < distances.size(); ++i) {
+        errors[problem.observations[i].point] += distances[i];
+        ++counts[problem.observations[i].point];
+    }
+    for (size_t p = 0; p < errors.size(); ++p)
+        if (counts[p] > 0) errors[p] /= static_cast<double>(counts[p]);
+    return errors;
+}
+
 Jacobian jacobian(const Problem& problem, const ParameterLayout& layout) {
     const auto rotations = image_rotations(problem);
     const auto num_observations = problem.observations.size();

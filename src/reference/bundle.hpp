@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "problem/parameter_layout.hpp"
@@ -19,6 +20,19 @@ struct Cost {
 // Residuals (2 an observation, may be nullptr): whitened and multiplied by sqrt(rho'). The cost is
 // the sum of the sums of blocks of 4096 observations, each summed in order by one thread.
 Cost residual(const Problem& problem, double* residuals);
+
+// |projection - observation| without the loss, and whitened: |L^-1 (projection - observation)|.
+struct ReprojectionError {
+    double pixels, sigmas;
+    bool is_behind, is_singular;
+};
+// visit(i, ReprojectionError) for observations [first, first + count), in several threads.
+void visit_errors(const Problem& problem, int64_t first, int64_t count,
+                  const std::function<void(int64_t, const ReprojectionError&)>& visit);
+
+// Mean |projection - observation| of each point's observations, without covariances and loss, in
+// pixels; 0 where it has none.
+std::vector<double> mean_reprojection_errors(const Problem& problem);
 
 // The Jacobian of these residuals in block compressed sparse rows: block row i is observation i.
 // Columns of constant parameters are 0. Outliers are treated as Ceres' corrector does for

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 #include <Eigen/Core>
+#include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <unsupported/Eigen/AutoDiff>
 
@@ -15,6 +17,47 @@ namespace clba::reference {
 template <class T>
 T radial_factor(const T& k1, const T& k2, const T& r2) {
     return 1.0 + r2 * (k1 + k2 * r2);
+}
+
+// 1 + k[0] x + k[1] x^2 + ...
+template <class T, size_t Size>
+T distortion_factor(const std::array<T, Size>& k, const T& x) {
+    T factor = k[Size - 1];
+    for (size_t i = Size - 1; i > 0; --i) factor = k[i - 1] + x * factor;
+    return 1.0 + x * factor;
+}
+
+inline double arctangent(double x) {
+    return std::atan(x);
+}
+template <class Derivatives>
+Eigen::AutoDiffScalar<Derivatives> arctangent(const Eigen::AutoDiffScalar<Derivatives>& x) {
+    return {std::atan(x.value()), x.derivatives() / (1 + x.value() * x.value())};
+}
+
+// atan(r) / r of r2 = r^2; the Taylor series where derivatives of the quotient lose digits.
+template <class T>
+T angle_ratio(const T& r2) {
+    using std::sqrt;
+    constexpr int num_terms = 15;  // of 1 / 16^15 = 9e-19 and less
+    if (r2 < 1.0 / 16) {
+        T sum = T(0.0);
+        for (int k = num_terms - 1; k >= 0; --k) sum = 1.0 / (2 * k + 1) - r2 * sum;
+        return sum;
+    }
+    const T r = sqrt(r2);
+    return arctangent(r) / r;
+}
+
+// tan(h) / h; for small h by a continued fraction, as the quotient loses digits.
+template <class T>
+T tangent_ratio(const T& h) {
+    using std::tan;
+    if (h > 1.0 || h < -1.0) return tan(h) / h;
+    const T h2 = h * h;
+    T fraction = T(21.0);
+    for (int k = 19; k >= 1; k -= 2) fraction = static_cast<double>(k) - h2 / fraction;
+    return 1.0 / fraction;
 }
 
 // Each struct has
@@ -106,6 +149,138 @@ struct opencv {
         const T dv = 2.0 * p2 * uv + p1 * (r2 + 2.0 * vv);
         pixel_x = params[0] * (factor * u + du) + params[2];
         pixel_y = params[1] * (factor * v + dv) + params[3];
+    }
+};
+
+struct opencv_fisheye {
+    static constexpr int num_params = 8;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T u = x / z, v = y / z;
+        const T r2 = u * u + v * v;
+        const T ratio = angle_ratio(r2);
+        const T angle2 = r2 * ratio * ratio;
+        const std::array<T, 4> k = {params[4], params[5], params[6], params[7]};
+        const T factor = ratio * distortion_factor(k, angle2);
+        pixel_x = params[0] * factor * u + params[2];
+        pixel_y = params[1] * factor * v + params[3];
+    }
+};
+
+struct full_opencv {
+    static constexpr int num_params = 12;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T &p1 = params[6], &p2 = params[7];
+        const T u = x / z, v = y / z;
+        const T uu = u * u, uv = u * v, vv = v * v;
+        const T r2 = uu + vv;
+        const std::array<T, 3> above = {params[4], params[5], params[8]};
+        const std::array<T, 3> below = {params[9], params[10], params[11]};
+        const T factor = distortion_factor(above, r2) / distortion_factor(below, r2);
+        const T du = 2.0 * p1 * uv + p2 * (r2 + 2.0 * uu);
+        const T dv = 2.0 * p2 * uv + p1 * (r2 + 2.0 * vv);
+        pixel_x = params[0] * (factor * u + du) + params[2];
+        pixel_y = params[1] * (factor * v + dv) + params[3];
+    }
+};
+
+struct fov {
+    static constexpr int num_params = 5;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T u = x / z, v = y / z;
+        const T half = 0.5 * params[4];
+        const T stretch = tangent_ratio(half);  // 2 tan(omega / 2) / omega
+        const T c = params[4] * stretch;
+        const T c2r2 = c * c * (u * u + v * v);
+        const T factor = stretch * angle_ratio(c2r2);
+        pixel_x = params[0] * factor * u + params[2];
+        pixel_y = params[1] * factor * v + params[3];
+    }
+};
+
+struct simple_radial_fisheye {
+    static constexpr int num_params = 4;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T u = x / z, v = y / z;
+        const T r2 = u * u + v * v;
+        const T ratio = angle_ratio(r2);
+        const T factor = params[0] * ratio * (1.0 + params[3] * r2 * ratio * ratio);
+        pixel_x = factor * u + params[1];
+        pixel_y = factor * v + params[2];
+    }
+};
+
+struct radial_fisheye {
+    static constexpr int num_params = 5;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T u = x / z, v = y / z;
+        const T r2 = u * u + v * v;
+        const T ratio = angle_ratio(r2);
+        const T angle2 = r2 * ratio * ratio;
+        const T factor = params[0] * ratio * radial_factor(params[3], params[4], angle2);
+        pixel_x = factor * u + params[1];
+        pixel_y = factor * v + params[2];
+    }
+};
+
+struct thin_prism_fisheye {
+    static constexpr int num_params = 12;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T &p1 = params[6], &p2 = params[7];
+        const T u = x / z, v = y / z;
+        const T r2 = u * u + v * v;
+        const T ratio = angle_ratio(r2);
+        const T a = ratio * u, b = ratio * v;
+        const T aa = a * a, ab = a * b, bb = b * b;
+        const T angle2 = aa + bb;
+        const std::array<T, 4> k = {params[4], params[5], params[8], params[9]};
+        const T factor = distortion_factor(k, angle2);
+        const T da = 2.0 * p1 * ab + p2 * (angle2 + 2.0 * aa) + params[10] * angle2;
+        const T db = 2.0 * p2 * ab + p1 * (angle2 + 2.0 * bb) + params[11] * angle2;
+        pixel_x = params[0] * (factor * a + da) + params[2];
+        pixel_y = params[1] * (factor * b + db) + params[3];
+    }
+};
+
+struct brown {
+    static constexpr int num_params = 8;
+    static constexpr int front_sign = 1;
+
+    template <class T>
+    static void project(const T* params, const T& x, const T& y, const T& z, T& pixel_x,
+                        T& pixel_y) {
+        const T &p1 = params[6], &p2 = params[7];
+        const T u = x / z, v = y / z;
+        const T uu = u * u, uv = u * v, vv = v * v;
+        const T r2 = uu + vv;
+        const T factor = 1.0 + r2 * (params[3] + r2 * (params[4] + r2 * params[5]));
+        const T du = 2.0 * p1 * uv + p2 * (r2 + 2.0 * uu);
+        const T dv = 2.0 * p2 * uv + p1 * (r2 + 2.0 * vv);
+        pixel_x = params[0] * (factor * u + du) + params[1];
+        pixel_y = params[0] * (factor * v + dv) + params[2];
     }
 };
 

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "base/error.hpp"
+#include "reference/priors.hpp"
 #include "reference/sparse_cholesky.hpp"
 
 namespace clba::reference {
@@ -129,7 +130,8 @@ struct DirectSchur::Structure {
     Structure(const Problem& problem, const ParameterLayout& layout) {
         find_blocks(problem, layout);
         find_slots(problem);
-        find_neighbours();
+        find_neighbours(problem);
+        find_priors(problem, layout);
     }
 
     std::vector<ParameterBlock> blocks;
@@ -152,13 +154,22 @@ struct DirectSchur::Structure {
     std::vector<int64_t> neighbour_start;  // of each block; blocks + 1
     std::vector<int32_t> neighbours;       // later blocks that S couples it to, ascending
 
+    std::vector<int32_t> point_prior;                // of each point, -1: none; or empty
+    std::vector<std::array<double, 9>> information;  // of each prior of a point
+    struct PriorEntry {
+        int32_t row, column;  // of S, row >= column
+        int32_t source;       // in the values of P
+    };
+    std::vector<PriorEntry> prior_entries;
+
     int64_t num_points() const { return static_cast<int64_t>(is_free_point.size()); }
     SparseCholesky analyze() const;
 
 private:
     void find_blocks(const Problem& problem, const ParameterLayout& layout);
     void find_slots(const Problem& problem);
-    void find_neighbours();
+    void find_neighbours(const Problem& problem);
+    void find_priors(const Problem& problem, const ParameterLayout& layout);
 };
 
 void DirectSchur::Structure::find_blocks(const Problem& problem, const ParameterLayout& layout) {
@@ -240,8 +251,14 @@ void DirectSchur::Structure::find_slots(const Problem& problem) {
             block_slots[next[slot_block[slot]]++] = {slot, slot_start[p + 1]};
 }
 
-void DirectSchur::Structure::find_neighbours() {
+void DirectSchur::Structure::find_neighbours(const Problem& problem) {
     std::vector<int32_t> found_for(blocks.size(), -1);
+    std::vector<std::vector<int32_t>> later(problem.priors.relative_poses.empty() ? 0
+                                                                                  : blocks.size());
+    for (const RelativePosePrior& prior : problem.priors.relative_poses) {
+        const auto [first, last] = std::minmax(images[prior.first].pose, images[prior.second].pose);
+        later[first].push_back(last);
+    }
     neighbour_start.push_back(0);
     for (size_t b = 0; b < blocks.size(); ++b) {
         const auto add = [&](int32_t neighbour) {
@@ -256,9 +273,25 @@ void DirectSchur::Structure::find_neighbours() {
         // An image whose points are all constant shares no slot with its camera.
         const int32_t image = blocks[b].image;
         if (image >= 0 && images[image].cross_start >= 0) add(images[image].camera);
+        if (!later.empty())
+            for (int32_t block : later[b]) add(block);
         std::sort(neighbours.begin() + neighbour_start[b], neighbours.end());
         neighbour_start.push_back(static_cast<int64_t>(neighbours.size()));
     }
+}
+
+void DirectSchur::Structure::find_priors(const Problem& problem, const ParameterLayout& layout) {
+    if (!problem.priors.points.empty()) point_prior.assign(problem.points.size(), -1);
+    for (const PointPrior& prior : problem.priors.points) {
+        point_prior[prior.point] = static_cast<int32_t>(information.size());
+        add_information(prior, information.emplace_back().data());
+    }
+    if (!problem.priors.has_image_side()) return;
+    const ImagePriors priors(problem, layout);
+    for (size_t i = 0; i < priors.rows().size(); ++i)
+        for (int32_t k = priors.row_begin()[i]; k < priors.row_begin()[i + 1]; ++k)
+            if (priors.columns()[k] <= priors.rows()[i])
+                prior_entries.push_back({priors.rows()[i], priors.columns()[k], k});
 }
 
 // Lower triangle of S by columns: a column has the rest of its own block, then its neighbours.
@@ -295,6 +328,7 @@ struct DirectSchur::Numbers {
     void add_observations(const Jacobian& jacobian, int64_t point);
     bool eliminate(int64_t point, const double* gradient, const double* damping);
     void fill_columns(int32_t block, const double* damping);
+    void add_priors(const std::vector<double>& image_priors);
     void back_substitute(int64_t point, const double* delta_f, double* delta_e) const;
 
     const Structure& s;
@@ -334,6 +368,8 @@ void DirectSchur::Numbers::start(const double* gradient) {
 // U, W and V from a point's observations.
 void DirectSchur::Numbers::add_observations(const Jacobian& jacobian, int64_t point) {
     v.fill(0);
+    if (!s.point_prior.empty() && s.point_prior[point] >= 0)
+        v = s.information[s.point_prior[point]];
     const int columns = jacobian.columns;
     for (int64_t k = s.observation_start[point]; k < s.observation_start[point + 1]; ++k) {
         const int64_t i = s.observation[k];
@@ -437,6 +473,15 @@ void DirectSchur::Numbers::fill_columns(int32_t block, const double* damping) {
     }
 }
 
+void DirectSchur::Numbers::add_priors(const std::vector<double>& image_priors) {
+    for (const Structure::PriorEntry& entry : s.prior_entries) {
+        const auto begin = cholesky.rows().begin() + cholesky.column_starts()[entry.column];
+        const auto end = cholesky.rows().begin() + cholesky.column_starts()[entry.column + 1];
+        const auto at = std::lower_bound(begin, end, entry.row);
+        values[at - cholesky.rows().begin()] += image_priors[entry.source];
+    }
+}
+
 void DirectSchur::Numbers::back_substitute(int64_t point, const double* delta_f,
                                            double* delta_e) const {
     std::array<double, 3> x = y[point];
@@ -458,7 +503,7 @@ DirectSchur::DirectSchur(const Problem& problem, const ParameterLayout& layout)
 DirectSchur::~DirectSchur() = default;
 
 bool DirectSchur::solve(const Jacobian& jacobian, const double* gradient, const double* damping,
-                        double* delta) {
+                        const std::vector<double>& image_priors, double* delta) {
     const Structure& s = *structure_;
     Numbers& numbers = *numbers_;
     const auto num_observations = static_cast<int64_t>(s.observation.size());
@@ -475,6 +520,7 @@ bool DirectSchur::solve(const Jacobian& jacobian, const double* gradient, const 
 
     for (size_t b = 0; b < s.blocks.size(); ++b)
         numbers.fill_columns(static_cast<int32_t>(b), damping);
+    numbers.add_priors(image_priors);
     if (!numbers.cholesky.factorize(numbers.values.data())) {
         numbers.num_indefinite = 1;
         return false;

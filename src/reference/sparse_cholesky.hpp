@@ -37,6 +37,7 @@ public:
     void solve(const double* b, double* x);
     int64_t num_factor_nonzeros() const;
     const std::vector<int64_t>& column_starts() const { return column_starts_; }
+    const std::vector<int64_t>& rows() const { return rows_; }
 
 private:
     void check(int32_t status) const;

@@ -3,8 +3,8 @@
 
 Reprojection errors do not fix where a scene is, how it is turned and how large it is. Uncertainties
 tell the damping which parameters of the start are known well: these give way least, and the scene
-stays where the GPS put it. They are no priors: given enough iterations, the cost alone decides what
-it can decide.
+stays where the GPS put it. They are no priors (gps_priors.py): given enough iterations, the cost
+alone decides what it can decide.
 """
 
 from __future__ import annotations

@@ -56,6 +56,18 @@ def test_gps_weights(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert gps_distance < distance / 3
 
 
+def test_gps_priors(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = run(package, monkeypatch, "gps_priors")
+    assert errors["with"] < 0.7 * errors["gps"]
+    assert errors["with"] < errors["without"]
+
+
 def test_own_loop(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine, theirs = run(package, monkeypatch, "own_loop")
     assert mine == pytest.approx(theirs, rel=1e-6)
+
+
+def test_incremental(package: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked, local, everything = run(package, monkeypatch, "incremental", "16")
+    assert local < tracked / 3
+    assert everything < tracked / 3

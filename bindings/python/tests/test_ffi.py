@@ -23,13 +23,17 @@ SCALARS = {
     "double": ctypes.c_double,
     "size_t": ctypes.c_size_t,
     "clba_status": ctypes.c_int32,
+    "uint8_t": ctypes.c_uint8,
     "clba_iteration_fn": _ffi.IterationFunction,
+    "clba_progress_fn": _ffi.ProgressFunction,
 }
 STRUCTS = {
     **_ffi.STRUCTS,
     "clba_context": _ffi.ContextHandle,
     "clba_problem": _ffi.ProblemHandle,
     "clba_result": _ffi.ResultHandle,
+    "clba_covariance": _ffi.CovarianceHandle,
+    "clba_cancellation": _ffi.CancellationHandle,
 }
 
 
@@ -140,7 +144,10 @@ def enumeration(prefix: str) -> dict[str, int]:
         ("DAMPING", _names.DAMPINGS, _names.Damping),
         ("PRECISION", _names.PRECISIONS, _names.Precision),
         ("JACOBIAN", _names.JACOBIANS, _names.JacobianForm),
+        ("GAUGE_STATE", _names.GAUGES, None),
+        ("COVARIANCE", _names.COVARIANCE_METHODS, _names.CovarianceMethod),
         ("SCENE", _names.SCENES, _names.Scene),
+        ("UNIT", _names.ERROR_UNITS, _names.ErrorUnit),
         ("DEVICE", _names.DEVICE_TYPES, None),
         ("REASON", _names.REASONS, None),
     ],
@@ -149,6 +156,19 @@ def test_names_are_those_of_the_header(prefix: str, names: dict[str, int], liter
     assert names == enumeration(prefix)
     if literal is not None:
         assert set(literal.__args__) == set(names)  # type: ignore[attr-defined]
+
+
+def test_formats_are_those_of_the_header() -> None:
+    declared = enumeration("FORMAT")
+    assert set(_names.Format.__args__) == set(declared)  # type: ignore[attr-defined]
+    assert _names.FORMATS.items() <= declared.items()
+
+
+def test_gauges_are_those_of_the_header() -> None:
+    declared = enumeration("GAUGE")
+    for name, value in _names.GAUGE_CHOICES.items():
+        assert declared[name] == value
+    assert set(_names.GaugeChoice.__args__) == set(_names.GAUGE_CHOICES)  # type: ignore[attr-defined]
 
 
 def test_terminations_are_those_of_the_header() -> None:

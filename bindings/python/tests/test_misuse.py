@@ -45,7 +45,7 @@ WRONG: list[tuple[str, Callable[[Any], Any], type[Exception], str]] = [
         "camera_models",
         lambda a: "fisheye",
         ValueError,
-        r"camera_models\[0\] = 'fisheye', .* opencv",
+        r"camera_models\[0\] = 'fisheye', .* opencv, ",
     ),
     ("camera_models", lambda a: [*a[:4], 5], TypeError, r"camera_models\[4\] = 5"),
     ("camera_models", lambda a: a[:4], ValueError, "camera_params has shape"),

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 import sys
+import warnings
 from collections.abc import Sequence
 
 import clba
@@ -44,7 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     devices = commands.add_parser("devices", help="list the OpenCL devices")
     devices.set_defaults(run=_devices)
-    _add_solve(commands.add_parser("solve", help="refine a BAL file"))
+    _add_solve(commands.add_parser("solve", help="refine a problem"))
     return parser
 
 
@@ -60,10 +61,12 @@ def _devices(_parsed: argparse.Namespace) -> int:
 
 def _add_solve(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=_solve)
-    parser.add_argument("file", metavar="FILE", help="BAL file: plain, gzip or bzip2")
+    parser.add_argument("file", metavar="FILE", help="problem: a file or folder of any format")
     parser.add_argument(
-        "-o", "--output", metavar="FILE", help="the solution; compressed if named .gz or .bz2"
+        "-o", "--output", metavar="FILE", help="the solution, in the format of the input"
     )
+    parser.add_argument("--output-format", choices=_names.FORMATS, default="auto")
+    parser.add_argument("--accept-loss", action="store_true", help="leave out what does not fit")
     parser.add_argument("--ply", metavar="FILE", help="points and camera centres")
     parser.add_argument("--json", metavar="FILE", help="the summary and every iteration")
     parser.add_argument("--report", metavar="FILE", help="a page of HTML with plots")
@@ -86,9 +89,13 @@ def _solve(parsed: argparse.Namespace) -> int:
             raise clba.FileError(f"{name}: its folder does not exist; make it first")
     if parsed.report is not None:
         plot._drawn_by("plotly")
-    problem = clba.Problem.from_bal(parsed.file)
+    problem = _read(parsed)
     if problem.num_observations == 0:
         raise clba.FormatError(f"{parsed.file}: has no observations; nothing to solve")
+    if parsed.output is not None:
+        problem.check_write(
+            parsed.output, format=parsed.output_format, accept_loss=parsed.accept_loss
+        )
     problem.set_loss(parsed.loss, parsed.loss_scale)
     before = _state(problem, parsed)
     code = EXIT_OK
@@ -117,6 +124,15 @@ def _solve(parsed: argparse.Namespace) -> int:
     return code
 
 
+def _read(parsed: argparse.Namespace) -> clba.Problem:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they are printed as notes instead
+        problem = clba.Problem.read(parsed.file)
+    for notice in [] if parsed.quiet else problem.notices:
+        print(f"clba: note: {parsed.file}: {notice}", file=sys.stderr)
+    return problem
+
+
 def _state(problem: clba.Problem, parsed: argparse.Namespace) -> plot.State | None:
     """For the report, if one is asked for."""
     if parsed.report is None:
@@ -131,7 +147,7 @@ def _write(
     parsed: argparse.Namespace,
 ) -> None:
     if parsed.output is not None:
-        problem.to_bal(parsed.output)
+        problem.write(parsed.output, format=parsed.output_format, accept_loss=parsed.accept_loss)
     if parsed.ply is not None:
         problem.to_ply(parsed.ply)
     if parsed.json is not None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 Doubles = npt.NDArray[np.float64]
 Int32s = npt.NDArray[np.int32]
+UInt64s = npt.NDArray[np.uint64]
 
 
 def doubles(values: npt.ArrayLike, shape: tuple[int | None, ...], name: str) -> Doubles:

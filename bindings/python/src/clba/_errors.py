@@ -68,6 +68,12 @@ class NoPluginError(Error, RuntimeError):
     status = -9
 
 
+class CancelledError(Error, RuntimeError):
+    """A progress callback stopped a reading."""
+
+    status = -10
+
+
 BY_STATUS: dict[int, type[Error]] = {
     error.status: error
     for error in (
@@ -80,5 +86,6 @@ BY_STATUS: dict[int, type[Error]] = {
         FileError,
         FormatError,
         NoPluginError,
+        CancelledError,
     )
 }

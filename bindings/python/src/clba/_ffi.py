@@ -15,6 +15,7 @@ from ctypes import (
     c_int32,
     c_int64,
     c_size_t,
+    c_uint8,
     c_uint32,
     c_uint64,
     c_void_p,
@@ -35,6 +36,14 @@ class ProblemHandle(Structure):
 
 class ResultHandle(Structure):
     """clba_result"""
+
+
+class CovarianceHandle(Structure):
+    """clba_covariance"""
+
+
+class CancellationHandle(Structure):
+    """clba_cancellation"""
 
 
 class DeviceInfo(Structure):
@@ -98,7 +107,7 @@ class Iteration(Structure):
         ("step_is_accepted", c_int32),
         ("step_is_valid", c_int32),
         ("linear_solver_iterations", c_int32),
-        ("reserved", c_int32),
+        ("remaining_iterations", c_int32),
         ("num_behind", c_int64),
         ("cost", c_double),
         ("cost_change", c_double),
@@ -107,6 +116,7 @@ class Iteration(Structure):
         ("gain_ratio", c_double),
         ("trust_region_radius", c_double),
         ("seconds", c_double),
+        ("remaining_seconds", c_double),
     ]
 
 
@@ -141,6 +151,11 @@ class SolverOptions(Structure):
         ("eta", c_double),
         ("on_iteration", IterationFunction),
         ("user_data", c_void_p),
+        ("cancellation", POINTER(CancellationHandle)),
+        ("checkpoint_path", c_char_p),
+        ("resume_path", c_char_p),
+        ("checkpoint_every", c_int32),
+        ("reserved", c_int32),
     ]
 
 
@@ -193,6 +208,29 @@ class Summary(Structure):
         ("factorization_seconds", c_double),
         ("host_seconds", c_double),
         ("choice", c_char * 256),
+        ("resumed_iteration", c_int32),
+        ("num_checkpoints", c_int32),
+        ("checkpoint_error", c_char * 256),
+        ("gauge", c_int32),
+        ("num_gauge_freedoms", c_int32),
+        ("initial_prior_cost", c_double),
+        ("final_prior_cost", c_double),
+    ]
+
+
+class Window(Structure):
+    """clba_window"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("refine_shared_cameras", c_int32),
+        ("num_images", c_int32),
+        ("num_points", c_int32),
+        ("images", POINTER(c_int32)),
+        ("points", POINTER(c_int32)),
+        ("num_free_points", c_int32),
+        ("num_constant_images", c_int32),
+        ("num_observations", c_int64),
     ]
 
 
@@ -214,6 +252,111 @@ class Evaluation(Structure):
     ]
 
 
+class CovarianceOptions(Structure):
+    """clba_covariance_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("gauge_images", c_int32 * 2),
+        ("gauge_points", c_int32 * 3),
+        ("method", c_int32),
+        ("apply_variance_factor", c_int32),
+        ("all_points", c_int32),
+        ("points", POINTER(c_int32)),
+        ("num_points", c_int64),
+        ("max_bytes", c_uint64),
+        ("num_samples", c_int32),
+        ("max_linear_solver_iterations", c_int32),
+        ("relative_error", c_double),
+        ("seed", c_uint64),
+    ]
+
+
+class CovarianceInfo(Structure):
+    """clba_covariance_info"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("gauge_images", c_int32 * 2),
+        ("gauge_points", c_int32 * 3),
+        ("num_freedoms", c_int32),
+        ("method", c_int32),
+        ("num_samples", c_int32),
+        ("variance_factor_is_applied", c_int32),
+        ("num_images", c_int32),
+        ("num_cameras", c_int32),
+        ("reserved", c_int32),
+        ("num_points", c_int64),
+        ("relative_error", c_double),
+        ("cost", c_double),
+        ("variance_factor", c_double),
+        ("redundancy", c_int64),
+        ("num_undetermined_parameters", c_int64),
+        ("num_undetermined_points", c_int64),
+        ("num_linear_solver_iterations", c_int64),
+        ("bytes", c_uint64),
+        ("total_seconds", c_double),
+        ("form_seconds", c_double),
+        ("factor_seconds", c_double),
+        ("inverse_seconds", c_double),
+        ("point_seconds", c_double),
+    ]
+
+
+class GaugeTarget(Structure):
+    """clba_gauge_target"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("gauge", c_int32),
+        ("images", c_int32 * 2),
+        ("points", c_int32 * 3),
+        ("reserved", c_int32),
+        ("pose", POINTER(c_double)),
+        ("baseline", c_double),
+        ("xyz", POINTER(c_double)),
+        ("centers", POINTER(c_double)),
+    ]
+
+
+class FilterOptions(Structure):
+    """clba_filter_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("error_unit", c_int32),
+        ("remove_behind", c_int32),
+        ("min_num_views", c_int32),
+        ("max_reprojection_error", c_double),
+        ("min_triangulation_angle", c_double),
+        ("remove_points", c_int32),
+        ("reserved", c_int32),
+    ]
+
+
+class FilterReport(Structure):
+    """clba_filter_report"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("num_images_unobserved", c_int32),
+        ("num_observations_removed", c_int64),
+        ("num_behind", c_int64),
+        ("num_large_error", c_int64),
+        ("num_few_views", c_int64),
+        ("num_small_angle", c_int64),
+        ("num_points_few_views", c_int32),
+        ("num_points_small_angle", c_int32),
+        ("num_points_unobserved", c_int32),
+        ("num_points_removed", c_int32),
+        ("observation_rows", POINTER(c_int64)),
+        ("point_rows", POINTER(c_int32)),
+        ("unobserved_images", POINTER(c_int32)),
+    ]
+
+
 class Comparison(Structure):
     """clba_comparison"""
 
@@ -226,6 +369,31 @@ class Comparison(Structure):
         ("max_point_distance", c_double),
         ("median_point_distance", c_double),
         ("extent", c_double),
+    ]
+
+
+ProgressFunction = ctypes.CFUNCTYPE(c_int32, c_double, c_void_p)
+
+
+class ReadOptions(Structure):
+    """clba_read_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("format", c_int32),
+        ("on_progress", ProgressFunction),
+        ("user_data", c_void_p),
+    ]
+
+
+class WriteOptions(Structure):
+    """clba_write_options"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("format", c_int32),
+        ("accept_loss", c_int32),
+        ("reserved", c_int32),
     ]
 
 
@@ -257,8 +425,16 @@ STRUCTS: dict[str, type[Structure]] = {
         Iteration,
         SolverOptions,
         Summary,
+        Window,
         Evaluation,
+        CovarianceOptions,
+        CovarianceInfo,
+        GaugeTarget,
+        FilterOptions,
+        FilterReport,
         Comparison,
+        ReadOptions,
+        WriteOptions,
         SceneOptions,
     )
 }
@@ -267,9 +443,14 @@ _status = c_int32
 _context = POINTER(ContextHandle)
 _problem = POINTER(ProblemHandle)
 _result = POINTER(ResultHandle)
+_covariance = POINTER(CovarianceHandle)
+_cancellation = POINTER(CancellationHandle)
 _int32s = POINTER(c_int32)
 _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
+_uint64s = POINTER(c_uint64)
+_bytes = POINTER(c_uint8)
+_priors = [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t, _doubles, c_size_t]
 
 # Function: type of the result, types of the arguments.
 PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
@@ -306,6 +487,30 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     ),
     "clba_problem_set_covariances": (_status, [_problem, c_int64, _doubles, c_size_t]),
     "clba_problem_set_sigmas": (_status, [_problem, c_int64, _doubles, c_size_t]),
+    "clba_problem_add_cameras": (
+        _status,
+        [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t],
+    ),
+    "clba_problem_add_images": (
+        _status,
+        [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t],
+    ),
+    "clba_problem_add_points": (_status, [_problem, c_int32, _doubles, c_size_t]),
+    "clba_problem_add_observations": (
+        _status,
+        [
+            _problem,
+            c_int64,
+            _int32s,
+            c_size_t,
+            _int32s,
+            c_size_t,
+            _doubles,
+            c_size_t,
+            _doubles,
+            c_size_t,
+        ],
+    ),
     "clba_problem_get_cameras": (
         _status,
         [_problem, c_int32, c_int32, _int32s, c_size_t, _doubles, c_size_t],
@@ -328,15 +533,32 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "clba_problem_set_point_uncertainties": (_status, [_problem, c_int32, _doubles, c_size_t]),
     "clba_loss_name": (c_char_p, [c_int32]),
     "clba_problem_set_loss": (_status, [_problem, c_int32, c_double]),
+    "clba_problem_set_position_priors": (_status, _priors),
+    "clba_problem_set_pose_priors": (_status, _priors),
+    "clba_problem_set_intrinsics_priors": (_status, _priors),
+    "clba_problem_set_point_priors": (_status, _priors),
+    "clba_problem_set_relative_pose_priors": (_status, _priors),
     "clba_linear_solver_name": (c_char_p, [c_int32]),
     "clba_preconditioner_name": (c_char_p, [c_int32]),
     "clba_damping_name": (c_char_p, [c_int32]),
     "clba_precision_name": (c_char_p, [c_int32]),
     "clba_jacobian_name": (c_char_p, [c_int32]),
+    "clba_cancellation_create": (_status, [POINTER(_cancellation)]),
+    "clba_cancellation_retain": (_status, [_cancellation]),
+    "clba_cancellation_release": (None, [_cancellation]),
+    "clba_cancellation_request": (None, [_cancellation]),
+    "clba_cancellation_reset": (None, [_cancellation]),
+    "clba_cancellation_is_requested": (c_int32, [_cancellation]),
+    "clba_gauge_state_name": (c_char_p, [c_int32]),
     "clba_solver_options_init": (_status, [POINTER(SolverOptions), c_size_t]),
     "clba_problem_solve": (
         _status,
         [_problem, _context, POINTER(SolverOptions), POINTER(_result)],
+    ),
+    "clba_window_init": (_status, [POINTER(Window), c_size_t]),
+    "clba_problem_solve_window": (
+        _status,
+        [_problem, _context, POINTER(SolverOptions), POINTER(Window), POINTER(_result)],
     ),
     "clba_result_release": (None, [_result]),
     "clba_result_get_summary": (_status, [_result, POINTER(Summary)]),
@@ -352,7 +574,54 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
         [_problem, _context, c_int32, c_int32, c_double, _doubles, _doubles],
     ),
     "clba_problem_apply_step": (_status, [_problem, _doubles]),
+    "clba_covariance_gauge_name": (c_char_p, [c_int32]),
+    "clba_covariance_method_name": (c_char_p, [c_int32]),
+    "clba_covariance_options_init": (_status, [POINTER(CovarianceOptions), c_size_t]),
+    "clba_problem_covariance": (
+        _status,
+        [_problem, _context, POINTER(CovarianceOptions), POINTER(_covariance)],
+    ),
+    "clba_covariance_release": (None, [_covariance]),
+    "clba_covariance_get_info": (_status, [_covariance, POINTER(CovarianceInfo)]),
+    "clba_covariance_get": (
+        _status,
+        [_covariance, c_int32, c_int64, c_int64, _doubles, _doubles, c_size_t],
+    ),
+    "clba_gauge_target_init": (_status, [POINTER(GaugeTarget), c_size_t]),
+    "clba_problem_fix_gauge": (_status, [_problem, POINTER(GaugeTarget)]),
+    "clba_unit_name": (c_char_p, [c_int32]),
+    "clba_problem_get_reprojection_errors": (
+        _status,
+        [_problem, c_int32, c_int64, c_int64, _doubles, c_size_t],
+    ),
+    "clba_filter_options_init": (_status, [POINTER(FilterOptions), c_size_t]),
+    "clba_problem_filter": (
+        _status,
+        [_problem, POINTER(FilterOptions), POINTER(FilterReport)],
+    ),
+    "clba_problem_remove_observations": (
+        _status,
+        [_problem, c_int64, _int32s, c_size_t, c_int32, POINTER(FilterReport)],
+    ),
     "clba_problem_compare": (_status, [_problem, _problem, POINTER(Comparison)]),
+    "clba_format_name": (c_char_p, [c_int32]),
+    "clba_read_options_init": (_status, [POINTER(ReadOptions), c_size_t]),
+    "clba_problem_read": (_status, [c_char_p, POINTER(ReadOptions), POINTER(_problem)]),
+    "clba_problem_notices": (c_char_p, [_problem]),
+    "clba_problem_get_format": (c_int32, [_problem]),
+    "clba_write_options_init": (_status, [POINTER(WriteOptions), c_size_t]),
+    "clba_problem_write": (_status, [_problem, c_char_p, POINTER(WriteOptions)]),
+    "clba_problem_check_write": (_status, [_problem, c_char_p, POINTER(WriteOptions)]),
+    "clba_problem_get_camera_info": (
+        _status,
+        [_problem, c_int32, c_int32, _uint64s, c_size_t, _uint64s, c_size_t],
+    ),
+    "clba_problem_get_image_ids": (_status, [_problem, c_int32, c_int32, _uint64s, c_size_t]),
+    "clba_problem_get_point_info": (
+        _status,
+        [_problem, c_int32, c_int32, _uint64s, c_size_t, _bytes, c_size_t],
+    ),
+    "clba_problem_get_image_name": (c_char_p, [_problem, c_int32]),
     "clba_problem_read_bal": (_status, [c_char_p, POINTER(_problem)]),
     "clba_problem_write_bal": (_status, [_problem, c_char_p]),
     "clba_problem_write_ply": (_status, [_problem, c_char_p]),

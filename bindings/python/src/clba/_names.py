@@ -8,14 +8,42 @@ from typing import Literal
 
 from clba._ffi import lib
 
-CameraModel = Literal["snavely", "simple_pinhole", "pinhole", "simple_radial", "radial", "opencv"]
+CameraModel = Literal[
+    "snavely",
+    "simple_pinhole",
+    "pinhole",
+    "simple_radial",
+    "radial",
+    "opencv",
+    "opencv_fisheye",
+    "full_opencv",
+    "fov",
+    "simple_radial_fisheye",
+    "radial_fisheye",
+    "thin_prism_fisheye",
+    "brown",
+]
 Loss = Literal["none", "huber", "soft_l1", "cauchy", "tukey"]
 LinearSolver = Literal["auto", "pcg_schur", "pcg_hessian", "explicit_schur", "direct_schur"]
 Preconditioner = Literal["default", "block_jacobi", "schur_jacobi"]
 Damping = Literal["marquardt", "levenberg", "uncertainty"]
 Precision = Literal["auto", "double", "mixed", "single"]
 JacobianForm = Literal["default", "recomputed", "stored"]
+GaugeChoice = Literal["default", "problem", "first_image_and_baseline", "three_points", "inner"]
+CovarianceMethod = Literal["auto", "exact", "sampled"]
+ErrorUnit = Literal["pixels", "sigmas"]
 Scene = Literal["hall", "street", "landmark"]
+Format = Literal[
+    "auto",
+    "bal",
+    "colmap_binary",
+    "colmap_text",
+    "bundler",
+    "nvm",
+    "openmvg",
+    "opensfm",
+    "ply",
+]
 
 # An enumeration's values are small; the functions that name them answer NULL to the others.
 _END_OF_VALUES = 32
@@ -33,7 +61,12 @@ PRECONDITIONERS = _named(lib.clba_preconditioner_name)
 DAMPINGS = _named(lib.clba_damping_name)
 PRECISIONS = _named(lib.clba_precision_name)
 JACOBIANS = _named(lib.clba_jacobian_name)
+GAUGE_CHOICES = _named(lib.clba_covariance_gauge_name)
+COVARIANCE_METHODS = _named(lib.clba_covariance_method_name)
+ERROR_UNITS = _named(lib.clba_unit_name)
+GAUGES = _named(lib.clba_gauge_state_name)
 SCENES = _named(lib.clba_scene_name)
+FORMATS = _named(lib.clba_format_name)
 
 DEVICE_TYPES = {"cpu": 1, "gpu": 2, "accelerator": 3, "other": 4}
 TERMINATIONS = {"convergence": 0, "no_convergence": 1, "failure": 2, "user_stop": 3}
@@ -49,6 +82,7 @@ REASONS = {
     "invalid_start": 9,
     "callback": 10,
     "nothing_to_do": 11,
+    "cancelled": 12,
 }
 
 PARAM_NAMES: dict[str, tuple[str, ...]] = {

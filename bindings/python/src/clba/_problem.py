@@ -7,8 +7,9 @@ import contextlib
 import ctypes
 import os
 import threading
+import warnings
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import byref, c_double, c_int32, c_int64
 from dataclasses import dataclass
 from types import TracebackType
@@ -17,11 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clba import _arrays, _evaluation, _ffi, _names
-from clba._arrays import Doubles, Int32s, pointer, stride
+from clba import _arrays, _covariance, _evaluation, _ffi, _filter, _names, _problem_files
+from clba._arrays import Doubles, Int32s, UInt64s, pointer, stride
+from clba._covariance import Covariance
 from clba._devices import Context, context_of
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
+from clba._filter import FilterReport
 from clba._summary import Summary
 
 if TYPE_CHECKING:
@@ -103,8 +106,7 @@ class Problem:
         rows; others are converted.
 
         Args:
-            camera_models: "snavely", "simple_pinhole", "pinhole", "simple_radial", "radial" or
-                "opencv"; one name for all cameras or one a camera.
+            camera_models: a name of ``clba.PARAM_NAMES``; one for all cameras or one a camera.
             camera_params: (num_cameras, k), in COLMAP's order of the model's parameters (see
                 ``clba.PARAM_NAMES``). If models differ, rows may differ in length, or are padded.
             poses: (num_images, 7), camera from world: qw, qx, qy, qz, tx, ty, tz. Quaternions are
@@ -159,6 +161,37 @@ class Problem:
             problem.set_sigmas(sigmas)
         if covariances is not None:
             problem.set_covariances(covariances)
+        return problem
+
+    @classmethod
+    def read(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        progress: Callable[[float], bool | None] | None = None,
+    ) -> Problem:
+        """Reads a file, or a folder of files, of any format the library knows.
+
+        What a problem has no place for (names, ids, colours, features without a point, rigs) is
+        kept beside it and written back.
+
+        Args:
+            format: by default it is told by content.
+            progress: called with the fraction read, from 0 to 1; one that returns True stops the
+                reading, and one that raises stops it and has its exception raised.
+
+        Warns:
+            UserWarning: what cannot be solved as it is in the file; also in ``notices``.
+
+        Raises:
+            FileError (an OSError): a file cannot be read.
+            FormatError (a ValueError): no format fits, or the content breaks a rule of it.
+            CancelledError: progress returned True.
+        """
+        problem = cls._of(_problem_files.read(path, format, progress))
+        for notice in problem.notices:
+            warnings.warn(f"{os.fspath(path)}: {notice}", stacklevel=2)
         return problem
 
     @classmethod
@@ -266,7 +299,199 @@ class Problem:
         check(lib.clba_problem_generate(byref(options), byref(start), byref(truth)))
         return cls._of(start), cls._of(truth)
 
+    # ---- Growing -------------------------------------------------------------------------------
+
+    def add_cameras(
+        self,
+        camera_models: str | Sequence[str],
+        camera_params: npt.ArrayLike | Sequence[Sequence[float]],
+    ) -> range:
+        """Appends cameras, as in ``from_arrays``, and returns their indices."""
+        models, params = _camera_rows(camera_models, camera_params)
+        with self._use() as handle:
+            first = problem_info(handle).num_cameras
+            check(
+                lib.clba_problem_add_cameras(
+                    handle,
+                    len(models),
+                    pointer(models, c_int32),
+                    stride(models),
+                    pointer(params, c_double),
+                    stride(params),
+                ),
+                params="camera_params",
+                models="camera_models",
+            )
+            self._colmap_ids = None
+            return range(first, first + len(models))
+
+    def add_images(self, poses: npt.ArrayLike, camera_indices: npt.ArrayLike) -> range:
+        """Appends images, whose poses are free, and returns their indices.
+
+        Args:
+            poses: (n, 7), camera from world: qw, qx, qy, qz, tx, ty, tz.
+            camera_indices: (n,), the camera of each.
+        """
+        rows = _arrays.doubles(poses, (None, 7), "poses")
+        with self._use() as handle:
+            info = problem_info(handle)
+            cameras = _arrays.indices(
+                camera_indices, len(rows), info.num_cameras, "camera_indices", "cameras"
+            )
+            check(
+                lib.clba_problem_add_images(
+                    handle,
+                    len(rows),
+                    pointer(cameras, c_int32),
+                    stride(cameras),
+                    pointer(rows, c_double),
+                    stride(rows),
+                )
+            )
+            self._colmap_ids = None
+            return range(info.num_images, info.num_images + len(rows))
+
+    def add_points(self, points: npt.ArrayLike) -> range:
+        """Appends points, (n, 3), which are free, and returns their indices."""
+        rows = _arrays.doubles(points, (None, 3), "points")
+        with self._use() as handle:
+            first = problem_info(handle).num_points
+            check(
+                lib.clba_problem_add_points(
+                    handle, len(rows), pointer(rows, c_double), stride(rows)
+                ),
+                xyz="points",
+            )
+            self._colmap_ids = None
+            return range(first, first + len(rows))
+
+    def add_observations(
+        self,
+        image_indices: npt.ArrayLike,
+        point_indices: npt.ArrayLike,
+        pixels: npt.ArrayLike,
+        covariances: npt.ArrayLike | None = None,
+    ) -> range:
+        """Appends observations and returns their indices.
+
+        Args:
+            image_indices, point_indices: (n,), which image saw which point.
+            pixels: (n, 2), where.
+            covariances: (n, 3), rows xx, xy, yy in squared pixels; None: the identity.
+        """
+        with self._use() as handle:
+            info = problem_info(handle)
+            images = _arrays.indices(
+                image_indices, None, info.num_images, "image_indices", "images"
+            )
+            points = _arrays.indices(
+                point_indices, len(images), info.num_points, "point_indices", "points"
+            )
+            xy = _arrays.doubles(pixels, (len(images), 2), "pixels")
+            rows = None
+            if covariances is not None:
+                rows = _arrays.doubles(covariances, (len(images), 3), "covariances")
+            check(
+                lib.clba_problem_add_observations(
+                    handle,
+                    len(images),
+                    pointer(images, c_int32),
+                    stride(images),
+                    pointer(points, c_int32),
+                    stride(points),
+                    pointer(xy, c_double),
+                    stride(xy),
+                    _NO_DOUBLES if rows is None else pointer(rows, c_double),
+                    0 if rows is None else stride(rows),
+                ),
+                xy="pixels",
+            )
+            return range(info.num_observations, info.num_observations + len(images))
+
     # ---- Files ---------------------------------------------------------------------------------
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        accept_loss: bool = False,
+    ) -> None:
+        """Writes a file, or a folder of files; an error leaves what was there.
+
+        Args:
+            format: by default a folder's if path is a folder or ends in "/", else that of the
+                name's ending if it has one, else the one the problem was read in.
+            accept_loss: leave out what the format cannot hold.
+
+        Raises:
+            InvalidArgumentError (a ValueError): the format cannot hold the problem or, unless
+                accept_loss, what was read with it; the message lists that.
+            FileError (an OSError): the file cannot be written.
+        """
+        with self._use() as handle:
+            _problem_files.write(handle, path, format, accept_loss)
+
+    def check_write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        format: _names.Format = "auto",
+        accept_loss: bool = False,
+    ) -> None:
+        """Raises what ``write`` would say against the format and a loss: before a long solve."""
+        with self._use() as handle:
+            _problem_files.check_write(handle, path, format, accept_loss)
+
+    @property
+    def format(self) -> str | None:
+        """Name of the format that the problem was read in, if it was."""
+        with self._use() as handle:
+            value = int(lib.clba_problem_get_format(handle))
+        return _names.name_of(_names.FORMATS, value) if value else None
+
+    @property
+    def notices(self) -> list[str]:
+        """What was read and cannot be solved as it is in the file."""
+        with self._use() as handle:
+            return _ffi.text(lib.clba_problem_notices(handle)).splitlines()
+
+    @property
+    def image_names(self) -> list[str]:
+        """Of each image, "" where the file has none."""
+        with self._use() as handle:
+            count = problem_info(handle).num_images
+            return [os.fsdecode(lib.clba_problem_get_image_name(handle, i)) for i in range(count)]
+
+    @property
+    def image_ids(self) -> UInt64s:
+        """(num_images,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.image_ids(handle, problem_info(handle).num_images)
+
+    @property
+    def camera_ids(self) -> UInt64s:
+        """(num_cameras,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.camera_info(handle, problem_info(handle).num_cameras)[0]
+
+    @property
+    def camera_sizes(self) -> UInt64s:
+        """(num_cameras, 2), width and height in pixels; 0 where they are not known."""
+        with self._use() as handle:
+            return _problem_files.camera_info(handle, problem_info(handle).num_cameras)[1]
+
+    @property
+    def point_ids(self) -> UInt64s:
+        """(num_points,); the index + 1 where the file has none."""
+        with self._use() as handle:
+            return _problem_files.point_info(handle, problem_info(handle).num_points)[0]
+
+    @property
+    def point_colors(self) -> npt.NDArray[np.uint8]:
+        """(num_points, 3), red, green and blue; white where the file has none."""
+        with self._use() as handle:
+            return _problem_files.point_info(handle, problem_info(handle).num_points)[1]
 
     def to_bal(self, path: str | os.PathLike[str]) -> None:
         """Writes a BAL file, compressed if the name ends in .gz or .bz2.
@@ -358,7 +583,7 @@ class Problem:
     def centers(self) -> Doubles:
         """(num_images, 3) camera centres in world coordinates."""
         with self._use() as handle:
-            count = _info(handle).num_images
+            count = problem_info(handle).num_images
             centers = np.empty((count, 3))
             check(lib.clba_problem_get_centers(handle, 0, count, pointer(centers, c_double), 0))
             return centers
@@ -367,7 +592,7 @@ class Problem:
     def points(self) -> Doubles:
         """(num_points, 3) world coordinates. It may be set to as many rows."""
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             points = np.empty((count, 3))
             check(lib.clba_problem_get_points(handle, 0, count, pointer(points, c_double), 0))
             return points
@@ -375,14 +600,14 @@ class Problem:
     @points.setter
     def points(self, values: npt.ArrayLike) -> None:
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             _set_points(handle, _arrays.doubles(values, (count, 3), "points"))
 
     @property
     def image_indices(self) -> Int32s:
         """(num_observations,) the image of each observation."""
         with self._use() as handle:
-            images = np.empty(_info(handle).num_observations, np.int32)
+            images = np.empty(problem_info(handle).num_observations, np.int32)
             _get_observations(handle, len(images), images=images)
             return images
 
@@ -390,7 +615,7 @@ class Problem:
     def point_indices(self) -> Int32s:
         """(num_observations,) the point of each observation."""
         with self._use() as handle:
-            points = np.empty(_info(handle).num_observations, np.int32)
+            points = np.empty(problem_info(handle).num_observations, np.int32)
             _get_observations(handle, len(points), points=points)
             return points
 
@@ -398,7 +623,7 @@ class Problem:
     def pixels(self) -> Doubles:
         """(num_observations, 2) where the points were seen."""
         with self._use() as handle:
-            pixels = np.empty((_info(handle).num_observations, 2))
+            pixels = np.empty((problem_info(handle).num_observations, 2))
             _get_observations(handle, len(pixels), pixels=pixels)
             return pixels
 
@@ -416,7 +641,7 @@ class Problem:
             sigmas: (num_observations,) in pixels, > 0; one number for all; None: all 1.
         """
         with self._use() as handle:
-            count = 0 if sigmas is None else _info(handle).num_observations
+            count = 0 if sigmas is None else problem_info(handle).num_observations
             values = np.ones(0) if sigmas is None else sigmas
             if np.ndim(values) == 0:
                 values = np.full(count, values)
@@ -434,7 +659,7 @@ class Problem:
             if covariances is None:
                 check(lib.clba_problem_set_covariances(handle, 0, _NO_DOUBLES, 0))
                 return
-            count = _info(handle).num_observations
+            count = problem_info(handle).num_observations
             rows = _arrays.doubles(covariances, (count, 3), "covariances")
             check(
                 lib.clba_problem_set_covariances(
@@ -466,7 +691,7 @@ class Problem:
             position: images whose camera centre stays, likewise.
         """
         with self._use() as handle:
-            count = _info(handle).num_images
+            count = problem_info(handle).num_images
             flags = _arrays.mask(rotation, count, "rotation").astype(np.int32)
             flags += 2 * _arrays.mask(position, count, "position").astype(np.int32)
             check(lib.clba_problem_set_constant_images(handle, count, pointer(flags, c_int32), 0))
@@ -522,7 +747,7 @@ class Problem:
             points: True for all, None for none, a boolean array (num_points,), or indices.
         """
         with self._use() as handle:
-            count = _info(handle).num_points
+            count = problem_info(handle).num_points
             flags = _arrays.mask(points, count, "points").astype(np.int32)
             check(lib.clba_problem_set_constant_points(handle, count, pointer(flags, c_int32), 0))
 
@@ -546,7 +771,7 @@ class Problem:
         What is None is set to 1. An array that numpy can broadcast to its shape will do.
         """
         with self._use() as handle:
-            info = _info(handle)
+            info = problem_info(handle)
             most = _params(handle).shape[1] if cameras is not None else 0
             for values, shape, name, function in (
                 (images, (info.num_images, 6), "images", lib.clba_problem_set_image_uncertainties),
@@ -567,6 +792,282 @@ class Problem:
                     values=name,
                 )
 
+    # ---- Removing outliers ---------------------------------------------------------------------
+
+    def reprojection_errors(self, unit: _names.ErrorUnit = "pixels") -> Doubles:
+        """(num_observations,) lengths of the residuals at the current state, without the loss.
+
+        Args:
+            unit: "pixels", or "sigmas": whitened by the covariances.
+        """
+        value = _names.value_of(_names.ERROR_UNITS, unit, "unit")
+        with self._use() as handle:
+            errors = np.empty(problem_info(handle).num_observations)
+            check(
+                lib.clba_problem_get_reprojection_errors(
+                    handle, value, 0, len(errors), pointer(errors, c_double), 0
+                )
+            )
+            return errors
+
+    def filter(
+        self,
+        *,
+        max_reprojection_error: float = 4.0,
+        min_triangulation_angle: float = 1.5,
+        min_num_views: int = 2,
+        remove_behind: bool = True,
+        remove_points: bool = False,
+        unit: _names.ErrorUnit = "pixels",
+    ) -> FilterReport:
+        """Removes outliers at the current state, with their covariances.
+
+        A rule looks at what those before it left, in the order of the arguments' description.
+
+        Args:
+            remove_behind: observations of points behind their camera, or in its own plane.
+            max_reprojection_error: observations with a larger error; may be infinite.
+            unit: of that error, "pixels" or "sigmas".
+            min_num_views: all observations of points that fewer images see.
+            min_triangulation_angle: all observations of points whose largest angle between two
+                rays is smaller, in degrees.
+            remove_points: remove the points that are left without observations, too.
+        """
+        options = _filter.options(
+            error_unit=_names.value_of(_names.ERROR_UNITS, unit, "unit"),
+            max_reprojection_error=max_reprojection_error,
+            min_triangulation_angle=min_triangulation_angle,
+            min_num_views=min_num_views,
+            remove_behind=remove_behind,
+            remove_points=remove_points,
+        )
+        with self._use() as handle:
+            report = _filter.run(
+                problem_info(handle),
+                lambda to: lib.clba_problem_filter(handle, byref(options), to),
+            )
+            self._forget_points(report)
+            return report
+
+    def remove_observations(
+        self, observations: npt.ArrayLike, *, remove_points: bool = False
+    ) -> FilterReport:
+        """Removes observations of the caller's choice, with their covariances.
+
+        Args:
+            observations: a boolean array (num_observations,), or indices.
+            remove_points: remove the points that are left without observations, too.
+        """
+        with self._use() as handle:
+            info = problem_info(handle)
+            mask = _arrays.mask(observations, info.num_observations, "observations")
+            flags = mask.astype(np.int32)
+            report = _filter.run(
+                info,
+                lambda to: lib.clba_problem_remove_observations(
+                    handle, len(flags), pointer(flags, c_int32), 0, bool(remove_points), to
+                ),
+            )
+            self._forget_points(report)
+            return report
+
+    def _forget_points(self, report: FilterReport) -> None:
+        """Keeps the rows of a reconstruction's points in step with a removal."""
+        if self._colmap_ids is not None:
+            cameras, images, points = self._colmap_ids
+            kept = [point for point, row in zip(points, report.point_rows, strict=True) if row >= 0]
+            self._colmap_ids = (cameras, images, kept)
+
+    # ---- Priors --------------------------------------------------------------------------------
+
+    def set_position_priors(
+        self,
+        images: npt.ArrayLike | None,
+        positions: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of camera centres, as by GPS, in world units; replaces what was set before.
+
+        Priors add 1/2 |L^-1 (h(x) - target)|^2 to the cost, with L L^T the covariance.
+
+        Args:
+            images: (n,) indices of images, each at most once; None: no priors.
+            positions: (n, 3).
+            covariances: (n, 3, 3), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_position_priors,
+            ("images", images, 1),
+            ("positions", positions, 3),
+            (covariances, sigmas, 3),
+        )
+
+    def set_pose_priors(
+        self,
+        images: npt.ArrayLike | None,
+        poses: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of whole poses; replaces what was set before.
+
+        The residual is log(R R0^T), a rotation vector in rad, then the camera's centre less that of
+        the target in world units; covariances are in this order.
+
+        Args:
+            images: (n,) indices of images, each at most once; None: no priors.
+            poses: (n, 7), as in ``poses``.
+            covariances: (n, 6, 6), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 6), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_pose_priors,
+            ("images", images, 1),
+            ("poses", poses, 7),
+            (covariances, sigmas, 6),
+        )
+
+    def set_point_priors(
+        self,
+        points: npt.ArrayLike | None,
+        positions: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of points, as of ground control, in world units; replaces what was set.
+
+        Args:
+            points: (n,) indices of points, each at most once; None: no priors.
+            positions: (n, 3).
+            covariances: (n, 3, 3), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
+                to it.
+        """
+        self._set_priors(
+            lib.clba_problem_set_point_priors,
+            ("points", points, 1),
+            ("positions", positions, 3),
+            (covariances, sigmas, 3),
+        )
+
+    def set_relative_pose_priors(
+        self,
+        pairs: npt.ArrayLike | None,
+        poses: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of one camera's pose from another, as by odometry; replaces what was set.
+
+        With (R, t) the pose of the second camera from the first and (M, m) the target, the residual
+        is log(M^T R), a rotation vector in rad, then M^T (t - m) in world units; covariances are in
+        this order.
+
+        Args:
+            pairs: (n, 2) indices of first and second image; a pair may have several; None: none.
+            poses: (n, 7), second camera from first camera, qw qx qy qz tx ty tz.
+            covariances: (n, 6, 6), or one for all.
+            sigmas: instead of covariances, standard deviations: (n, 6), or what numpy can broadcast
+                to it.
+        """
+        if pairs is not None and np.shape(pairs)[1:] != (2,):
+            raise ValueError(f"pairs has shape {np.shape(pairs)}, but it must be (any, 2)")
+        self._set_priors(
+            lib.clba_problem_set_relative_pose_priors,
+            ("pairs.flat", None if pairs is None else np.ravel(pairs), 2),
+            ("poses", poses, 7),
+            (covariances, sigmas, 6),
+        )
+
+    def set_intrinsics_priors(
+        self,
+        cameras: npt.ArrayLike | None,
+        params: npt.ArrayLike | None = None,
+        covariances: npt.ArrayLike | None = None,
+        *,
+        sigmas: npt.ArrayLike | None = None,
+    ) -> None:
+        """What is known of intrinsics, as by a calibration; replaces what was set before.
+
+        Args:
+            cameras: (n,) indices of cameras, each at most once; None: no priors.
+            params: (n, k), as in ``camera_params``.
+            covariances: (n, k, k), or one for all. An infinite variance, with 0 in the rest of its
+                row and column, leaves a parameter without a prior.
+            sigmas: instead of covariances, standard deviations: (n, k), or what numpy can broadcast
+                to it; infinite for parameters without a prior.
+        """
+        with self._use() as handle:
+            function = lib.clba_problem_set_intrinsics_priors
+            if cameras is None:
+                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
+                return
+            models = _models(handle)
+            most = _params(handle).shape[1]
+            chosen = _arrays.indices(cameras, None, len(models), "cameras", "cameras")
+            targets = _arrays.doubles(_required(params, "params"), (len(chosen), most), "params")
+            rows = _covariances(covariances, sigmas, len(chosen), most)
+            # Rows of the library are n x n numbers for cameras of n parameters.
+            packed = np.zeros((len(chosen), most * most))
+            for i, camera in enumerate(chosen):
+                n = lib.clba_camera_model_num_params(models[camera])
+                packed[i, : n * n] = rows[i, :n, :n].ravel()
+            check(
+                function(
+                    handle,
+                    len(chosen),
+                    pointer(chosen, c_int32),
+                    stride(chosen),
+                    pointer(targets, c_double),
+                    stride(targets),
+                    pointer(packed, c_double),
+                    stride(packed),
+                )
+            )
+
+    def _set_priors(
+        self,
+        function: Any,
+        subjects: tuple[str, npt.ArrayLike | None, int],
+        targets: tuple[str, npt.ArrayLike | None, int],
+        uncertainty: tuple[npt.ArrayLike | None, npt.ArrayLike | None, int],
+    ) -> None:
+        """subjects: their name, indices, and how many of these a row has; targets likewise;
+        uncertainty: covariances or sigmas, and their dimension."""
+        name, given, per_row = subjects
+        target_name, target, width = targets
+        covariances, sigmas, n = uncertainty
+        with self._use() as handle:
+            if given is None:
+                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
+                return
+            kind = "points" if name == "points" else "images"
+            limit = getattr(problem_info(handle), f"num_{kind}")
+            indices = np.ascontiguousarray(_arrays.indices(given, None, limit, name, kind))
+            count = len(indices) // per_row
+            rows = _arrays.doubles(_required(target, target_name), (count, width), target_name)
+            matrices = _covariances(covariances, sigmas, count, n)
+            check(
+                function(
+                    handle,
+                    count,
+                    pointer(indices, c_int32),
+                    0,
+                    pointer(rows, c_double),
+                    stride(rows),
+                    pointer(matrices, c_double),
+                    0,
+                )
+            )
+
     # ---- Evaluating ----------------------------------------------------------------------------
 
     def evaluate(
@@ -582,7 +1083,8 @@ class Problem:
         """Cost, residuals, gradient and Jacobian at the current state, computed on the device.
 
         Residuals and Jacobian are whitened by the covariances and multiplied by sqrt(rho'), so that
-        gradient = J^T r.
+        gradient = J^T r, to which priors add: cost and gradient include them, residuals and
+        Jacobian are those of observations alone.
 
         Args:
             residuals, gradient, jacobian: what to compute besides the cost.
@@ -596,7 +1098,7 @@ class Problem:
             return _evaluation.evaluate(
                 handle,
                 context_handle,
-                _info(handle),
+                problem_info(handle),
                 precision=value,
                 apply_loss=apply_loss,
                 residuals=residuals,
@@ -604,8 +1106,102 @@ class Problem:
                 structure=self._jacobian_structure(handle) if jacobian else None,
             )
 
+    def covariance(
+        self,
+        *,
+        points: npt.ArrayLike | bool = True,
+        gauge: _names.GaugeChoice = "default",
+        gauge_images: Sequence[int] | None = None,
+        gauge_points: Sequence[int] | None = None,
+        method: _names.CovarianceMethod = "auto",
+        apply_variance_factor: bool = False,
+        num_samples: int | None = None,
+        relative_error: float | None = None,
+        seed: int | None = None,
+        max_bytes: int | None = None,
+        max_linear_solver_iterations: int | None = None,
+        device: int | str | Context | None = None,
+    ) -> Covariance:
+        """Covariances of poses, intrinsics and points at the current state.
+
+        They are blocks of the inverse of J^T J, whose J has the observations' covariances and the
+        loss in it; docs/covariance.md has definitions and formulas.
+
+        Args:
+            points: indices of points, True for all, or False for none.
+            gauge: what takes the freedoms of a similarity away that the problem does not hold.
+                "default": "problem" where it holds all, otherwise "first_image_and_baseline".
+            gauge_images: the image whose pose is held, and the one whose distance from it is;
+                -1 chooses.
+            gauge_points: of "three_points".
+            method: "sampled" estimates where "exact" would take too much memory; "auto" chooses.
+            apply_variance_factor: multiply by the a posteriori variance factor.
+            num_samples, relative_error, seed, max_linear_solver_iterations: of "sampled".
+            max_bytes: memory that "auto" lets "exact" take; by default half of all there is.
+            device: as in ``solve``; it must have fp64.
+        """
+        context = context_of(device)
+        options, indices = _covariance.make_options(
+            self.num_points,
+            points=points,
+            gauge=gauge,
+            gauge_images=gauge_images,
+            gauge_points=gauge_points,
+            method=method,
+            apply_variance_factor=apply_variance_factor,
+            num_samples=num_samples,
+            relative_error=relative_error,
+            seed=seed,
+            max_bytes=max_bytes,
+            max_linear_solver_iterations=max_linear_solver_iterations,
+        )
+        with self._use() as handle, context._use() as context_handle:
+            num_params = [lib.clba_camera_model_num_params(int(m)) for m in _models(handle)]
+            return _covariance.compute(
+                handle, context_handle, options, indices, num_params, _images(handle)[0]
+            )
+
+    def fix_gauge(
+        self,
+        *,
+        gauge: _names.GaugeChoice = "default",
+        images: Sequence[int] | None = None,
+        pose: npt.ArrayLike | None = None,
+        baseline: float | None = None,
+        points: Sequence[int] | None = None,
+        xyz: npt.ArrayLike | None = None,
+        centers: npt.ArrayLike | None = None,
+    ) -> None:
+        """Moves the state by a similarity, which changes no residual.
+
+        Args:
+            gauge: "default", which is "first_image_and_baseline", "three_points" or "inner".
+            images: as gauge_images of ``covariance``.
+            pose: where the first image goes, as a row of ``poses``.
+            baseline: distance of the two images' centres.
+            points, xyz: indices of three points, and (3, 3) where they go: the first one, the line
+                to the second with its length, and the plane to the third.
+            centers: (num_images, 3) of "inner", to which the camera centres are brought as close
+                as a similarity brings them.
+
+        Raises:
+            InvalidArgumentError: among others, if poses or points are constant.
+        """
+        with self._use() as handle:
+            _covariance.set_gauge(
+                handle,
+                problem_info(handle).num_images,
+                gauge=gauge,
+                images=images,
+                points=points,
+                pose=pose,
+                baseline=baseline,
+                xyz=xyz,
+                centers=centers,
+            )
+
     def _jacobian_structure(self, handle: Any) -> _evaluation.Structure:
-        info = _info(handle)
+        info = problem_info(handle)
         pose_offsets = np.empty(info.num_images, np.int64)
         intrinsics_offsets = np.empty(info.num_cameras, np.int64)
         check(
@@ -640,7 +1236,7 @@ class Problem:
             return (
                 structure.pose_offsets,
                 structure.intrinsics_offsets,
-                int(_info(handle).num_image_camera_parameters),
+                int(problem_info(handle).num_image_camera_parameters),
             )
 
     def apply_step(self, step: npt.ArrayLike) -> None:
@@ -650,7 +1246,7 @@ class Problem:
             step: (num_parameters,); constant parameters stay.
         """
         with self._use() as handle:
-            values = _arrays.doubles(step, (_info(handle).num_parameters,), "step")
+            values = _arrays.doubles(step, (problem_info(handle).num_parameters,), "step")
             values = np.ascontiguousarray(values)
             check(lib.clba_problem_apply_step(handle, pointer(values, c_double)))
 
@@ -740,10 +1336,33 @@ class Problem:
 
     def _info(self) -> _ffi.ProblemInfo:
         with self._use() as handle:
-            return _info(handle)
+            return problem_info(handle)
 
 
-def _info(handle: Any) -> _ffi.ProblemInfo:
+def _required(values: npt.ArrayLike | None, name: str) -> npt.ArrayLike:
+    if values is None:
+        raise TypeError(f"{name} is None, but priors need it")
+    return values
+
+
+def _covariances(
+    covariances: npt.ArrayLike | None, sigmas: npt.ArrayLike | None, count: int, n: int
+) -> Doubles:
+    """(count, n, n), without gaps, from either of the two."""
+    if (covariances is None) == (sigmas is None):
+        raise TypeError("priors need either covariances or sigmas")
+    if covariances is not None:
+        return np.ascontiguousarray(_arrays.broadcast(covariances, (count, n, n), "covariances"))
+    deviations = _arrays.broadcast(np.asarray(sigmas), (count, n), "sigmas")
+    if not np.all(deviations > 0):
+        row, column = np.argwhere(~(deviations > 0))[0]
+        raise ValueError(f"sigmas[{row}][{column}] = {deviations[row, column]}, but it must be > 0")
+    rows = np.zeros((count, n, n))
+    rows[:, np.arange(n), np.arange(n)] = deviations**2
+    return rows
+
+
+def problem_info(handle: Any) -> _ffi.ProblemInfo:
     info = _ffi.sized(_ffi.ProblemInfo)
     check(lib.clba_problem_get_info(handle, byref(info)))
     return info
@@ -840,7 +1459,7 @@ def _set_points(handle: Any, points: Doubles) -> None:
 
 
 def _models(handle: Any) -> Int32s:
-    models = np.empty(_info(handle).num_cameras, np.int32)
+    models = np.empty(problem_info(handle).num_cameras, np.int32)
     check(
         lib.clba_problem_get_cameras(
             handle, 0, len(models), pointer(models, c_int32), 0, _NO_DOUBLES, 0
@@ -862,7 +1481,7 @@ def _params(handle: Any) -> Doubles:
 
 
 def _images(handle: Any) -> tuple[Int32s, Doubles]:
-    count = _info(handle).num_images
+    count = problem_info(handle).num_images
     cameras, poses = np.empty(count, np.int32), np.empty((count, 7))
     check(
         lib.clba_problem_get_images(

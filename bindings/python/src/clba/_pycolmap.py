@@ -17,8 +17,9 @@ from clba._problem import Problem
 if TYPE_CHECKING:
     import pycolmap
 
-# COLMAP has none that looks along -z.
-MODELS = {name.upper(): name for name in _names.CAMERA_MODELS if name != "snavely"}
+# COLMAP has none that looks along -z, and none of OpenMVG's with one focal length.
+NOT_OF_COLMAP = ("snavely", "brown")
+MODELS = {name.upper(): name for name in _names.CAMERA_MODELS if name not in NOT_OF_COLMAP}
 
 _TO_XYZW = [1, 2, 3, 0]
 _TO_WXYZ = [3, 0, 1, 2]
@@ -91,7 +92,10 @@ def update(problem: Problem, reconstruction: pycolmap.Reconstruction) -> None:
     import pycolmap
 
     if problem._colmap_ids is None:
-        raise ValueError("the problem was not made by from_pycolmap, so it has no reconstruction")
+        raise ValueError(
+            "the problem was not made by from_pycolmap, or cameras, images or points were added to "
+            "it since, so it has no reconstruction"
+        )
     camera_ids, image_ids, point_ids = problem._colmap_ids
     models = problem.camera_models
     for kind, ids, known in (

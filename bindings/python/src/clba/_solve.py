@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from ctypes import byref
 from typing import Any
 
-from clba import _ffi, _names, _summary
+from clba import _ffi, _names, _summary, _window
+from clba._cancellation import Cancellation
 from clba._devices import Context, context_of
 from clba._ffi import check, lib
 from clba._interrupt import DeferredInterrupt
-from clba._problem import Problem
+from clba._problem import Problem, problem_info
 from clba._summary import Iteration, Summary
+from clba._window import Window
 
 Callback = Callable[[Iteration], "bool | None"]
 
@@ -21,6 +24,7 @@ Callback = Callable[[Iteration], "bool | None"]
 def solve(
     problem: Problem,
     *,
+    window: Window | None = None,
     device: int | str | Context | None = None,
     linear_solver: _names.LinearSolver = "auto",
     preconditioner: _names.Preconditioner = "default",
@@ -45,14 +49,21 @@ def solve(
     eta: float | None = None,
     callback: Callback | None = None,
     progress: bool = False,
+    cancellation: Cancellation | None = None,
+    checkpoint_path: str | os.PathLike[str] | None = None,
+    checkpoint_every: int | None = None,
+    resume_path: str | os.PathLike[str] | None = None,
 ) -> Summary:
     """Minimises a problem's cost from its state, and leaves it at the best state found.
 
-    Blocks, with the GIL released. Ctrl-C stops at the next iteration: the problem then holds the
-    best state, ``problem.summary`` the summary, and KeyboardInterrupt is raised.
+    Blocks, with the GIL released. Ctrl-C stops within the step: the problem then holds the best
+    state, ``problem.summary`` the summary, and KeyboardInterrupt is raised.
 
     Args:
         problem: changed in place.
+        window: refines this part alone, at a cost that depends on it and not on the problem: its
+            images, the points they see and the cameras that no other image uses are free, and
+            what else takes part in their observations is constant. The summary is of this part.
         device: an index, a part of a platform's or device's name, or a ``clba.Context``; by default
             the environment variable CLBA_DEVICE, else the best device.
         linear_solver: "auto", "pcg_schur" (implicit Schur complement), "explicit_schur" (formed,
@@ -78,11 +89,20 @@ def solve(
             solve, and one that raises stops it and has its exception raised by ``solve``. It must
             not use the problem.
         progress: show a bar (of tqdm, also in notebooks).
+        cancellation: ends the solve when another thread asks it to.
+        checkpoint_path: file from which the solve can go on later, to the same bits as if it had
+            never ended; written also where a limit, the callback or a cancellation ends it.
+        checkpoint_every: iterations between checkpoints; 10 by default, 0: none but the last.
+        resume_path: goes on from this checkpoint instead of the problem's state. Measurements,
+            weights, constants, loss, linear solver, preconditioner, damping, precision and
+            jacobian must be as they were; limits and tolerances may differ.
 
     Raises:
         ValueError: an option breaks a rule, or the problem is closed.
         TypeError: an option has the wrong type.
         NoDeviceError: there is no such device, or it lacks the precision.
+        FileError, FormatError: a checkpoint cannot be read or is damaged, or the path for one
+            cannot be written. The problem is as it was.
         RuntimeError: the problem is being solved by another thread.
     """
     if not isinstance(problem, Problem):
@@ -115,23 +135,36 @@ def solve(
         "target_cost": target_cost,
         "max_seconds": max_seconds,
         "eta": eta,
+        "checkpoint_every": checkpoint_every,
     }
     for name, value in numbers.items():
         _ffi.set_number(options, name, value)
+    if checkpoint_path is not None:
+        options.checkpoint_path = os.fsencode(checkpoint_path)
+    if resume_path is not None:
+        options.resume_path = os.fsencode(resume_path)
+    if cancellation is None:
+        cancellation = Cancellation()
+    elif not isinstance(cancellation, Cancellation):
+        raise TypeError(f"cancellation = {cancellation!r}, but it must be a clba.Cancellation")
+    if window is not None and not isinstance(window, Window):
+        raise TypeError(f"window = {window!r}, but it must be a clba.Window")
     context = context_of(device)
     if not progress:
-        return _run(problem, context, options, callback)
+        return _run(problem, window, context, options, callback, cancellation)
     from clba._progress import Progress
 
     with Progress(options.max_num_iterations) as bar:
-        return _run(problem, context, options, bar.before(callback))
+        return _run(problem, window, context, options, bar.before(callback), cancellation)
 
 
 def _run(
     problem: Problem,
+    window: Window | None,
     context: Context,
     options: _ffi.SolverOptions,
     callback: Callback | None,
+    cancellation: Cancellation,
 ) -> Summary:
     raised: list[BaseException] = []
 
@@ -145,10 +178,20 @@ def _run(
             return 1
 
     options.on_iteration = _ffi.IterationFunction(on_iteration)
+    options.cancellation = cancellation._handle
     result = ctypes.POINTER(_ffi.ResultHandle)()
-    with DeferredInterrupt() as interrupt:
+    with DeferredInterrupt(cancellation) as interrupt:
         with problem._solving() as handle, context._use() as context_handle:
-            check(lib.clba_problem_solve(handle, context_handle, byref(options), byref(result)))
+            if window is None:
+                status = lib.clba_problem_solve(
+                    handle, context_handle, byref(options), byref(result)
+                )
+            else:
+                rows = _window.Rows(window, problem_info(handle))
+                status = lib.clba_problem_solve_window(
+                    handle, context_handle, byref(options), byref(rows.struct), byref(result)
+                )
+            check(status)
         try:
             summary = _summary.summary(result)
         finally:

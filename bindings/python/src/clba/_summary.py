@@ -22,12 +22,16 @@ class Iteration:
         step_is_accepted: the cost fell and the step was taken.
         step_is_valid: False if the linear solver failed or the cost was not finite.
         num_behind: observations of points behind their camera.
-        cost: of the state kept, 1/2 sum rho(|r|^2), in squared pixels (or sigmas).
+        cost: of the state kept, 1/2 sum rho(|r|^2), in squared pixels (or sigmas), and that of
+            priors.
         cost_change: cost before the step minus cost after it; > 0 is a decrease.
         step_norm: Euclidean, over all free parameters.
         gain_ratio: cost_change divided by the decrease that the linearised model predicts.
         trust_region_radius: 1 / lambda, after this iteration's update.
-        seconds: wall time since the solve was entered.
+        seconds: wall time since the solve was entered; after a resumption, also that of the solves
+            before.
+        remaining_iterations, remaining_seconds: an estimate from the trend of the cost, no more
+            than the budgets leave; -1 while it is unknown.
     """
 
     iteration: int
@@ -42,6 +46,8 @@ class Iteration:
     gain_ratio: float
     trust_region_radius: float
     seconds: float
+    remaining_iterations: int
+    remaining_seconds: float
 
 
 # The fields of Iteration, as columns.
@@ -59,6 +65,8 @@ ITERATION_DTYPE = np.dtype(
         ("gain_ratio", np.float64),
         ("trust_region_radius", np.float64),
         ("seconds", np.float64),
+        ("remaining_iterations", np.int32),
+        ("remaining_seconds", np.float64),
     ]
 )
 
@@ -87,12 +95,18 @@ class Summary:
         num_iterations: rows of ``iterations``, less the start.
         num_singular: observations in the camera's own plane at the end: these keep a constant
             residual and no derivative.
-        initial_cost, final_cost: 1/2 sum rho(|r|^2), in squared pixels (or sigmas).
+        initial_cost, final_cost: 1/2 sum rho(|r|^2), in squared pixels (or sigmas), and what priors
+            add: initial_prior_cost, final_prior_cost.
+        gauge: "free", "fixed_by_constants" or "fixed_by_priors": what holds the world's rotation,
+            translation and scale, of whose 7 freedoms num_gauge_freedoms are left.
         reference_final_cost: the same state, by the serial fp64 reference on the host.
         total_seconds: wall time; build (compiling or loading kernels), setup, linearize,
             linear_solver, evaluate, reference and other add up to it.
         residual_device_seconds and the other device times: time in kernels by step; 0 where the
             device cannot tell.
+        resumed_iteration: of the checkpoint that the solve went on from; 0: of none.
+        num_checkpoints: that were written.
+        checkpoint_error: why the last one that failed could not be written; "" if none did.
         iterations: the log, an array of records with the fields of `Iteration`:
             ``summary.iterations["cost"]``, ``pandas.DataFrame(summary.iterations)``.
     """
@@ -123,6 +137,10 @@ class Summary:
     initial_cost: float
     final_cost: float
     reference_final_cost: float
+    initial_prior_cost: float
+    final_prior_cost: float
+    gauge: str
+    num_gauge_freedoms: int
     total_seconds: float
     build_seconds: float
     setup_seconds: float
@@ -141,6 +159,9 @@ class Summary:
     schur_device_seconds: float
     vector_device_seconds: float
     peak_device_bytes: int
+    resumed_iteration: int
+    num_checkpoints: int
+    checkpoint_error: str
     iterations: npt.NDArray[np.void] = field(compare=False)
     _report: str = field(compare=False)
     _json: str = field(compare=False)
@@ -182,6 +203,7 @@ def summary(result: Any) -> Summary:
         ("given_linear_solver", _names.LINEAR_SOLVERS),
         ("given_preconditioner", _names.PRECONDITIONERS),
         ("given_precision", _names.PRECISIONS),
+        ("gauge", _names.GAUGES),
     ):
         values[name] = _names.name_of(names, values[name])
     # 0 is the default when asked for, and none when used.
