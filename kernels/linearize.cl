@@ -127,8 +127,11 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 const int i = point[l];
                 const view_t p = view(&image, of_tile, num_point_slots, i);
                 const bool is_real = i < num_points;
-                WIDE rx, ry, d[4], b[2 * CAMERA_PARAMS];
-                camera_pixel_derivatives(image.theta, p.u, p.v, &rx, &ry, d, b);
+                WIDE rx, ry, d[4], b[2 * CAMERA_PARAMS], kept[CAMERA_KEPT + 1];
+#if CAMERA_KEPT
+                camera_keep(image.theta, p.u, p.v, kept);
+#endif
+                camera_pixel_derivatives(image.theta, kept, p.u, p.v, &rx, &ry, d, b);
                 rx -= observed[l];
                 ry -= observed[n + l];
                 // Rows of A, with d(u, v) / dP = scale [1, 0, -sign u; 0, 1, -sign v].
@@ -217,6 +220,9 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
 #elif WEIGHT_ROWS
                 out[3 * n + l] = (REAL)weight;
 #endif
+#pragma unroll
+                for (int k = 0; k < CAMERA_KEPT; ++k)
+                    out[(3 + WEIGHT_ROWS + k) * n + l] = has_derivative ? (REAL)kept[k] : (REAL)0;
 #endif
 #ifdef NO_DOUBLE
                 WIDE root[6];

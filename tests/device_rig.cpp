@@ -35,7 +35,7 @@ class ContextRelease : public testing::Environment {
 };
 const auto* const context_release = testing::AddGlobalTestEnvironment(new ContextRelease);
 
-int two_rows(int) {
+int two_rows(const CameraModel&) {
     return 2;
 }
 
@@ -142,8 +142,10 @@ template <class RowsOf>
 bool Rig::padding_is_zero(const std::vector<Buffer>& slots, RowsOf&& rows_of) {
     int64_t num_nonzero = 0, num_of_observations = 0;
     const auto count = [](auto value, int64_t& total) { total += value == 0 ? 0 : 1; };
-    visit_reals(slots, rows_of, [&](int64_t, int columns, auto&& value) {
-        for (int k = 0; k < rows_of(columns); ++k) count(value(k), num_of_observations);
+    visit_reals(slots, rows_of, [&](int64_t i, int, auto&& value) {
+        const Image& image = problem_.images[problem_.observations[i].image];
+        const int rows = rows_of(camera_models[problem_.cameras[image.camera].model]);
+        for (int k = 0; k < rows; ++k) count(value(k), num_of_observations);
     });
     for (const Buffer& buffer : slots) {
         const auto n = static_cast<int64_t>(buffer.bytes() / real_bytes(precision));
@@ -159,10 +161,10 @@ bool Rig::padding_is_zero(const std::vector<Buffer>& slots, RowsOf&& rows_of) {
 }
 
 bool Rig::padding_is_zero() {
-    const bool has_loss = problem_.loss.kind != LossKind::none;
-    const int num_view_rows = 3 + (problem_.whitening.empty() ? has_loss : 3);
-    const auto num_rows = [&](int columns) {
-        return form_ == JacobianForm::stored ? Jacobian::num_block_rows(columns) : num_view_rows;
+    const auto num_rows = [&](const CameraModel& model) {
+        return form_ == JacobianForm::stored
+                   ? Jacobian::num_block_rows(model)
+                   : equations.jacobian.num_view_rows(model, !problem_.whitening.empty());
     };
     return padding_is_zero(equations.jacobian.rows(), num_rows) &&
            padding_is_zero(equations.jacobian.blocks(), Jacobian::num_block_rows);

@@ -193,7 +193,7 @@ TEST(SinglePrecisionResiduals, HaveTheDigitsOfFloats) {
         DeviceProblem device(test::test_context(), problem, Precision::single);
         device.upload_state(problem);
         Evaluator evaluator(device, problem);
-        const auto two_rows = [](int) { return 2; };
+        const auto two_rows = [](const CameraModel&) { return 2; };
         std::vector<Buffer> slots = device.make_slot_rows(two_rows, sizeof(float), "residuals");
         evaluator.cost(device.state, &slots);
         double largest = 0;

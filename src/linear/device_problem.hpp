@@ -119,8 +119,8 @@ public:
     Vector make_vector(const std::string& label);          // F and E
     Vector make_reduced_vector(const std::string& label);  // F alone
     std::vector<Buffer> make_point_rows(int rows, size_t value_bytes, const std::string& label);
-    // One buffer a segment, in the order of chunks and their segments: rows_of(num_columns) rows
-    // over its slots, run by run.
+    // One buffer a segment, in the order of chunks and their segments: rows_of(its camera model)
+    // rows over its slots, run by run.
     template <class RowsOf>
     std::vector<Buffer> make_slot_rows(RowsOf&& rows_of, size_t value_bytes,
                                        const std::string& label);
@@ -198,7 +198,7 @@ std::vector<Buffer> DeviceProblem::make_slot_rows(RowsOf&& rows_of, size_t value
         for (const DeviceSegment& segment : chunk.segments)
             buffers.emplace_back(queue_,
                                  static_cast<uint64_t>(segment.num_slots) *
-                                     static_cast<uint64_t>(rows_of(segment.num_columns)) *
+                                     static_cast<uint64_t>(rows_of(camera_models[segment.model])) *
                                      value_bytes,
                                  label);
     return buffers;
@@ -254,7 +254,8 @@ void DeviceProblem::visit_slots(const std::vector<Buffer>& slots, RowsOf&& rows_
     for (const Chunk& chunk : tiles_.chunks) {
         for (const Segment& segment : chunk.segments) {
             const auto mapping = slots[index++].map_read<Value>();
-            detail::walk_slots(segment, rows_of(segment.num_columns()), mapping.data(), visit);
+            detail::walk_slots(segment, rows_of(camera_models[segment.model]), mapping.data(),
+                               visit);
         }
     }
 }
@@ -265,8 +266,9 @@ void DeviceProblem::fill_slots(std::vector<Buffer>& slots, RowsOf&& rows_of, Vis
     for (const Chunk& chunk : tiles_.chunks) {
         for (const Segment& segment : chunk.segments) {
             const auto mapping = slots[index++].map_write<Value>();
-            detail::walk_slots(segment, rows_of(segment.num_columns()), mapping.data(), visit);
-            detail::clear_padding(segment, rows_of(segment.num_columns()), mapping.data());
+            detail::walk_slots(segment, rows_of(camera_models[segment.model]), mapping.data(),
+                               visit);
+            detail::clear_padding(segment, rows_of(camera_models[segment.model]), mapping.data());
         }
     }
 }

@@ -35,15 +35,17 @@ Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
         for (const DeviceSegment& segment : chunk.segments) {
             segments_.push_back(&segment);
             programs_.push_back(programs_of(segment));
-            const int columns = segment.num_columns;
-            const int view_rows = 3 + (segment.whitening ? 3 : has_loss_ ? 1 : 0);
-            const int rows = form == JacobianForm::stored ? num_block_rows(columns) : view_rows;
+            const CameraModel& model = camera_models[segment.model];
+            const int rows = form == JacobianForm::stored
+                                 ? num_block_rows(model)
+                                 : num_view_rows(model, static_cast<bool>(segment.whitening));
             rows_.emplace_back(
                 queue_,
                 static_cast<uint64_t>(segment.num_slots) * static_cast<uint64_t>(rows) * bytes,
                 "the Jacobian");
-            most_sums = std::max(most_sums, static_cast<uint64_t>(segment.num_runs) *
-                                                run_sums_bytes(columns, problem.precision()));
+            most_sums =
+                std::max(most_sums, static_cast<uint64_t>(segment.num_runs) *
+                                        run_sums_bytes(segment.num_columns, problem.precision()));
         }
     }
     point_real_ = problem.make_point_rows(3, bytes, "points in products");

@@ -31,8 +31,13 @@ public:
 
     // The blocks of every observation: 2 C + 6 rows of REAL over the slots of each segment.
     std::vector<Buffer> blocks();
-    static int num_block_rows(int num_columns) { return 2 * num_columns + 6; }
-    static int num_product_rows(int) { return 2; }
+    static int num_block_rows(const CameraModel& model) {
+        return 2 * (num_pose_params + model.num_params) + 6;
+    }
+    static int num_product_rows(const CameraModel&) { return 2; }
+    int num_view_rows(const CameraModel& model, bool has_whitening) const {
+        return 3 + (has_whitening ? 3 : has_loss_ ? 1 : 0) + model.num_kept;
+    }
 
     // y = J x, into slots of 2 rows of REAL a segment: product().
     void multiply(const Vector& x);

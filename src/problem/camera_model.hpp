@@ -9,16 +9,18 @@ struct CameraModel {
     const char* name;
     int num_params;
     const char* param_names;  // separated by commas, in order
+    int num_kept;             // values of a view that kernels keep with it
 };
 
 enum CameraModelNumber : int32_t {
-#define CLBA_CAMERA_MODEL(name, number, num_params, param_names) camera_##name = number,
+#define CLBA_CAMERA_MODEL(name, number, num_params, param_names, num_kept) camera_##name = number,
 #include "problem/camera_models.def"
 #undef CLBA_CAMERA_MODEL
 };
 
 inline constexpr CameraModel camera_models[] = {
-#define CLBA_CAMERA_MODEL(name, number, num_params, param_names) {#name, num_params, param_names},
+#define CLBA_CAMERA_MODEL(name, number, num_params, param_names, num_kept) \
+    {#name, num_params, param_names, num_kept},
 #include "problem/camera_models.def"
 #undef CLBA_CAMERA_MODEL
 };

@@ -284,7 +284,7 @@ struct brown {
     }
 };
 
-#define CLBA_CAMERA_MODEL(name, number, size, param_names) \
+#define CLBA_CAMERA_MODEL(name, number, size, param_names, num_kept) \
     static_assert(name::num_params == size && camera_models[number].num_params == size);
 #include "problem/camera_models.def"
 #undef CLBA_CAMERA_MODEL
@@ -293,8 +293,8 @@ struct brown {
 template <class Function>
 decltype(auto) with_camera_model(int32_t model, Function&& function) {
     switch (model) {
-#define CLBA_CAMERA_MODEL(name, number, size, param_names) \
-    case number:                                           \
+#define CLBA_CAMERA_MODEL(name, number, size, param_names, num_kept) \
+    case number:                                                     \
         return function(name{});
 #include "problem/camera_models.def"
 #undef CLBA_CAMERA_MODEL
