@@ -279,6 +279,32 @@ class Convert(CliTest):
         self.clba("solve", model, "-o", model, "--max-iterations", 2, "--quiet")
         self.assertEqual(self.files(model), self.files("solved"))
 
+    def test_rigs_are_solved_and_come_back(self):
+        model = self.model()
+        camera = self.MODEL["cameras.txt"]
+        self.write(camera + camera.replace("5", "3", 1), "model/cameras.txt")
+        images = self.MODEL["images.txt"].replace("5 b.jpg", "3 b.jpg")
+        self.write(images, "model/images.txt")
+        self.write("8 2 CAMERA 5 CAMERA 3 1 1 0 0 0 0.875 0 0\n", "model/rigs.txt")
+        self.write("30 8 1 0 0 0 0 0 5 2 CAMERA 5 9 CAMERA 3 4\n", "model/frames.txt")
+        self.assertRegex(self.clba("info", model).stdout, r"(?m)^rigs +1 frames of 2 sensors$")
+        solve = ["solve", model, "--max-iterations", 3, "--quiet", "-o"]
+        self.clba(*solve, "refined")
+        self.clba(*solve, "held", "--constant-sensors")
+
+        def rows(folder, name):
+            text = (self.folder / folder / name).read_text(encoding="utf-8")
+            return [line for line in text.splitlines() if not line.startswith("#")]
+
+        self.assertEqual(rows("held", "rigs.txt"), rows(model, "rigs.txt"))
+        self.assertNotEqual(rows("refined", "rigs.txt"), rows(model, "rigs.txt"))
+        for folder in ("held", "refined"):
+            (frame,) = rows(folder, "frames.txt")
+            self.assertTrue(frame.startswith("30 8 "))
+            self.assertTrue(frame.endswith(" 2 CAMERA 5 9 CAMERA 3 4"))
+            self.assertNotEqual(frame, rows(model, "frames.txt")[0])
+        self.refused(USAGE, "convert", model, "out.txt", mentions="rigs and frames")
+
     def test_outputs_that_cannot_be(self):
         model = self.model()
         for arguments, part in (

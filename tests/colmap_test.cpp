@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "io/colmap.hpp"
+#include "io/colmap_frames.hpp"
 
 #include <gtest/gtest.h>
 
@@ -208,12 +209,83 @@ TEST_F(ColmapTest, PosesOfImagesAreThoseOfTheirFrames) {
     const Pose& pose = r.problem.images[1].pose;
     EXPECT_EQ(pose.rotation, (std::array{0.0, 0.0, 1.0, 0.0}));
     EXPECT_EQ(pose.translation, (std::array{-0.5, 0.0, -3.0}));
-    ASSERT_EQ(r.notices.size(), 1u);
-    EXPECT_NE(r.notices[0].find("2 images are parts of 1 frames"), std::string::npos);
+    EXPECT_TRUE(r.notices.empty());
+    // Camera 5 is the reference sensor of two rigs.
+    const Rigs& rigs = r.problem.rigs;
+    EXPECT_EQ(rigs.image_frame, (std::vector<int32_t>{0, 0, 1}));
+    EXPECT_EQ(rigs.image_sensor, (std::vector<int32_t>{0, 1, 2}));
+    ASSERT_EQ(rigs.sensors.size(), 3u);
+    EXPECT_EQ(rigs.sensors[1].translation, (Point{0, 0, 2}));
+    EXPECT_EQ(rigs.constant_sensors, (std::vector<uint8_t>{3, 0, 3}));
+    EXPECT_EQ(rigs.frames[1].translation, (Point{0, 0, -5}));
+
+    // Models whose images have all a pose to themselves have no rigs to solve.
+    Files alone = with_frames();
+    alone["frames.txt"].replace(alone["frames.txt"].find("2 CAMERA 5 9 CAMERA 3 2"), 23,
+                                "1 CAMERA 5 9");
+    alone["frames.txt"] += "32 9 1 0 0 0 0 0 1 1 CAMERA 3 2\n";
+    alone["rigs.txt"] += "9 1 CAMERA 3\n";
+    EXPECT_TRUE(read_colmap_text(put("alone", alone)).problem.rigs.empty());
+
+    Files unknown = with_frames();
+    unknown["rigs.txt"].replace(unknown["rigs.txt"].find("3 1 0 0 1 0 0 0 2"), 17, "3 0");
+    const Reconstruction without_pose = read_colmap_text(put("unknown", unknown));
+    ASSERT_EQ(without_pose.notices.size(), 1u);
+    EXPECT_NE(without_pose.notices[0].find("1 images are of sensors whose pose"),
+              std::string::npos);
+    EXPECT_EQ(without_pose.problem.images[1].pose.translation, (Point{0, 0, 1}));
+}
+
+// A solve moves frames and sensors.
+TEST_F(ColmapTest, RigsThatMovedComeBack) {
+    Reconstruction r = read_colmap_text(put("model", with_frames()));
+    Rigs& rigs = r.problem.rigs;
+    rigs.frames[0].translation = {0.25, 1, 5};
+    rigs.sensors[1].translation = {0, 0.5, 2.25};
+    compose_images(rigs, r.problem.images);
+    write_colmap_text(r, folder.path("moved"));
+    const Reconstruction moved = read_colmap_text(folder.path("moved"));
+    EXPECT_EQ(moved.rigs.size(), 2u);
+    EXPECT_EQ(moved.rigs[0].sensors.size(), 3u);
+    EXPECT_EQ(moved.rigs[0].sensors[1].sensor_from_rig.translation, (std::array{0.0, 0.5, 2.25}));
+    EXPECT_EQ(digest(moved.problem), digest(r.problem));
+}
+
+// Rigs that no file had.
+TEST_F(ColmapTest, RigsOfAProblemAreWritten) {
+    Reconstruction r = read_colmap_text(put("model", small_model));
+    EXPECT_FALSE(r.has_frames);
+    Rigs rigs;
+    rigs.image_frame = {0, 0, 1};
+    rigs.image_sensor = {1, 0, 1};
+    rigs.sensors = {{{1, 0, 0, 0}, {0, 0, 2}}, {}};
+    rigs.frames = {{{0.6, 0.8, 0, 0}, {1, 2, 3}}, {{1, 0, 0, 0}, {0, 0, 4}}};
+    rigs.constant_sensors = {0, 3};
+    rigs.constant_frames = {0, 0};
+    r.problem.rigs = rigs;
+    compose_images(rigs, r.problem.images);
+    r.problem.validate();
+    write_colmap_binary(r, folder.path("rigs"));
+    const Reconstruction read = read_colmap_binary(folder.path("rigs"));
+    ASSERT_EQ(read.rigs.size(), 1u);
+    EXPECT_EQ(read.rigs[0].sensors[0].sensor.id, 5u);  // at the origin
+    ASSERT_EQ(read.frames.size(), 2u);
+    EXPECT_EQ(read.frames[0].data.size(), 2u);
+    for (size_t i = 0; i < r.problem.images.size(); ++i) {
+        EXPECT_EQ(read.problem.images[i].pose.rotation, r.problem.images[i].pose.rotation);
+        EXPECT_EQ(read.problem.images[i].pose.translation, r.problem.images[i].pose.translation);
+    }
+    EXPECT_TRUE(colmap::can_hold_rigs(r.problem));
+    // One camera for two sensors cannot be said.
+    r.problem.images[1].camera = r.problem.images[0].camera;
+    EXPECT_FALSE(colmap::can_hold_rigs(r.problem));
+    write_colmap_binary(r, folder.path("split"));
+    EXPECT_EQ(read_colmap_binary(folder.path("split")).frames.size(), 3u);
 }
 
 TEST_F(ColmapTest, FramesFollowTheirImagesWhileTheseAgree) {
     Reconstruction r = read_colmap_text(put("model", with_frames()));
+    r.problem.rigs = Rigs();  // images are free
     // The world moves along x: both images of frame 30 keep their places on the rig.
     r.problem.images[0].pose.translation[0] += 0.25;
     r.problem.images[1].pose.translation[0] -= 0.25;

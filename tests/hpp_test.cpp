@@ -418,6 +418,57 @@ TEST_F(Solving, AWindowOfAProblemThatGrows) {
     expect_refused([&] { problem.add_observations(rows, points, {}); }, "image indices");
 }
 
+TEST_F(Solving, RigsStayRigid) {
+    const clba::Images images = problem.images();
+    const auto num_images = static_cast<int32_t>(images.poses.size());
+    clba::Rigs rigs;
+    for (int32_t i = 0; i < num_images; ++i) {
+        rigs.frames.push_back(i < 4 ? i / 2 : -1);
+        rigs.sensors.push_back(i < 4 ? i % 2 : -1);
+    }
+    rigs.sensor_poses = {{1, 0, 0, 0, 0, 0, 0}, {1, 0, 0, 0, 0.5, 0, 0}};
+    rigs.constant_sensors = {CLBA_CONSTANT_POSE, CLBA_CONSTANT_ROTATION};
+    expect_refused([&] { problem.set_rigs(rigs); }, "image 1 is turned by");
+    rigs.frame_poses = {images.poses[0], images.poses[2]};
+    problem.set_rigs(rigs);
+    EXPECT_EQ(problem.info().num_frames, 2);
+    EXPECT_EQ(problem.info().num_sensors, 2);
+    std::vector<int64_t> offsets(2);
+    clba::check(clba_problem_get_sensor_offsets(problem.get(), offsets.data()));
+    const std::vector<int64_t> of_images = problem.offsets().poses;
+    EXPECT_EQ(of_images[0], of_images[1]);
+    EXPECT_EQ(offsets[1], offsets[0] + 6);
+
+    problem.solve(context);
+    const clba::Rigs solved = problem.rigs();
+    EXPECT_EQ(solved.frames, rigs.frames);
+    EXPECT_EQ(solved.constant_sensors, rigs.constant_sensors);
+    EXPECT_EQ(solved.constant_frames, (std::vector<int32_t>{0, 0}));
+    EXPECT_EQ(solved.sensor_poses[0], rigs.sensor_poses[0]);
+    EXPECT_NE(solved.sensor_poses[1], rigs.sensor_poses[1]);
+    const clba::Images moved = problem.images();
+    for (size_t f = 0; f < 2; ++f) {
+        EXPECT_EQ(moved.poses[2 * f], solved.frame_poses[f]);
+        for (size_t k = 0; k < 4; ++k)  // sensor 1 is not turned
+            EXPECT_EQ(moved.poses[2 * f + 1][k], solved.frame_poses[f][k]);
+    }
+
+    // A step of parameters keeps them rigid too, and the gradient is its slope.
+    const clba::Evaluation before = problem.evaluate(context);
+    std::vector<double> step(before.gradient.size(), 0.0);
+    double slope = 0;
+    for (size_t k = 0; k < step.size(); ++k) {
+        step[k] = 1e-9 * (k % 7 < 4 ? 1 : -1);
+        slope += before.gradient[k] * step[k];
+    }
+    for (int64_t k = 0; k < 6; ++k) slope -= before.gradient[offsets[0] + k] * step[offsets[0] + k];
+    problem.apply_step(step);
+    const double change = problem.evaluate(context).cost - before.cost;
+    EXPECT_NEAR(change, slope, 1e-3 * std::abs(slope) + 1e-12 * before.cost);
+    problem.set_rigs({});
+    EXPECT_TRUE(problem.rigs().frames.empty());
+}
+
 TEST_F(Solving, PriorsArrive) {
     const double bare = problem.evaluate(context).cost;
     const auto added = [&] { return problem.evaluate(context).cost - bare; };

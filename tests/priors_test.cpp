@@ -51,7 +51,7 @@ struct DensePriors {
         std::vector<Eigen::RowVectorXd> rows;
         reference::ImagePriors(problem, layout)
             .for_each_row(
-                problem.images, problem.cameras,
+                problem.images, problem.cameras, {},
                 [&](double residual, int count, const int32_t* scalars, const double* row) {
                     r.push_back(residual);
                     rows.emplace_back(Eigen::RowVectorXd::Zero(n));
@@ -181,7 +181,7 @@ TEST(PriorResiduals, SparseMatrixAndGradientEqualDenseOnes) {
         const double size = difference.cwiseAbs().maxCoeff();
         const reference::ImagePriors priors(problem, layout);
         std::vector<double> gradient, values;
-        priors.linearize(problem.images, problem.cameras, gradient, values);
+        priors.linearize(problem.images, problem.cameras, {}, gradient, values);
         for (size_t i = 0; i < priors.rows().size(); ++i)
             for (int32_t k = priors.row_begin()[i]; k < priors.row_begin()[i + 1]; ++k)
                 difference(priors.rows()[i], priors.columns()[k]) -= values[k];

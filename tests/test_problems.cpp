@@ -184,6 +184,55 @@ Problem mixed_scene(int num_images, int num_points, uint64_t seed) {
                  seed);
 }
 
+Problem rig_scene(int num_frames, int num_points, uint64_t seed) {
+    Random random(seed);
+    Problem problem;
+    for (const int32_t model :
+         {camera_opencv, camera_opencv, camera_opencv, camera_opencv, camera_snavely})
+        problem.cameras.push_back(plausible_camera(model, random));
+    Rigs& rigs = problem.rigs;
+    for (int s = 0; s < 3; ++s) {
+        Pose sensor;
+        if (s > 0) {
+            sensor.rotation = quaternion_from_rotation_vector(
+                {random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1), random.uniform(-1, 1)});
+            for (double& t : sensor.translation) t = random.uniform(-0.5, 0.5);
+        }
+        rigs.sensors.push_back(sensor);
+        rigs.constant_sensors.push_back(s == 0 ? constant_rotation | constant_position : 0);
+    }
+    const auto pose = [&](int32_t model = camera_opencv) {
+        const double distance = random.uniform(4.5, 5.5);
+        return looking_at_origin(distance * random.direction(), random.direction(),
+                                 front_sign(model));
+    };
+    const auto add_image = [&](int32_t camera, int32_t sensor) {
+        problem.images.push_back({camera, Pose()});
+        rigs.image_frame.push_back(static_cast<int32_t>(rigs.frames.size()) - 1);
+        rigs.image_sensor.push_back(sensor);
+    };
+    for (int f = 0; f < num_frames; ++f) {
+        rigs.frames.push_back(pose());
+        for (int32_t s = 0; s < 3; ++s) add_image(f == 0 && s == 2 ? 3 : s, s);
+    }
+    for (const int32_t sensor : {1, 0}) {
+        rigs.frames.push_back(pose());
+        add_image(sensor, sensor);
+    }
+    rigs.constant_frames.assign(rigs.frames.size(), 0);
+    compose_images(rigs, problem.images);
+    for (const int32_t camera : {4, 1}) {
+        problem.images.push_back({camera, pose(problem.cameras[camera].model)});
+        rigs.image_frame.push_back(-1);
+        rigs.image_sensor.push_back(-1);
+    }
+    for (int k = 0; k < num_points; ++k) problem.points.push_back(random_point_in_ball(random));
+    observe_random_share(problem, 0.6, random);
+    disturb(problem, random);
+    problem.validate();
+    return problem;
+}
+
 Problem wide_angle_scene() {
     Random random(32);
     Problem problem;

@@ -24,6 +24,12 @@ Problem small_scene(int num_images, int num_points, const std::vector<int32_t>& 
 // others, at least two, share one (snavely).
 Problem mixed_scene(int num_images, int num_points, uint64_t seed);
 
+// The same ball, seen by a rig of three sensors: image 3 f + s is of frame f and sensor s, of which
+// sensor 0 is constant at the rig's origin. Each sensor has an opencv camera, but image
+// 2 has one of its own. Then follow an image of sensor 1 and one of sensor 0, alone in their
+// frames, and two of no rig, of which the first has a snavely camera to itself.
+Problem rig_scene(int num_frames, int num_points, uint64_t seed);
+
 // One image of each model, and of fov with awkward values of omega, at the origin: points in the
 // middle (0 and 1e-9 off), up to 80 degrees away from it, and behind.
 Problem wide_angle_scene();

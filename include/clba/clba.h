@@ -182,6 +182,8 @@ typedef struct clba_problem_info {
     int64_t num_image_camera_parameters; /* of these, poses and intrinsics; points are the rest */
     int32_t num_parameters_per_image_block; /* C: 6 + most intrinsics of any camera in use */
     int32_t num_shared_cameras;             /* cameras that more than one image uses */
+    int32_t num_frames;                     /* of rigs; 0: no image is in one */
+    int32_t num_sensors;                    /* likewise */
 } clba_problem_info;
 CLBA_API clba_status clba_problem_get_info(const clba_problem* problem, clba_problem_info* info);
 
@@ -291,6 +293,48 @@ enum {
 CLBA_API const char* clba_loss_name(int32_t loss); /* NULL: no such loss */
 /* scale > 0, finite; ignored for CLBA_LOSS_NONE. */
 CLBA_API clba_status clba_problem_set_loss(clba_problem* problem, int32_t loss, double scale);
+
+/* ---- Rigs ------------------------------------------------------------------------------------ */
+
+/* Several cameras fixed to one body: an image of frame f (where the body was) and sensor s (which
+ * of its cameras) has the pose camera_from_world = sensor_from_rig(s) rig_from_world(f), that is R
+ * = R_s R_f, t = R_s t_f + t_s, exactly. What is solved for is the pose of each frame and, unless
+ * it is constant, of each sensor, and images follow. Sensors of any number of rigs are numbered
+ * together. Hold one sensor of each rig, usually one whose pose is the identity: to move all of a
+ * rig's sensors changes nothing that its frames could not undo. */
+typedef struct clba_rigs {
+    uint32_t struct_size;
+    int32_t num_frames; /* 0: no image is in a rig; 0 */
+    int32_t num_sensors;
+    int32_t reserved;           /* 0 */
+    const int32_t* frames;      /* num_images: of each image; -1: it is in no rig */
+    const int32_t* sensors;     /* likewise */
+    const double* sensor_poses; /* sensor_from_rig, rows of clba_problem_set_images */
+    const double* frame_poses;  /* rig_from_world; NULL: by the images, which must agree with their
+                                   sensors to 1e-6 rad, and 1e-6 of their distances in the rig */
+    const int32_t* constant_sensors; /* sums of CLBA_CONSTANT_*, one a sensor; NULL: all are free */
+    const int32_t* constant_frames;  /* likewise of frames */
+} clba_rigs;
+CLBA_API clba_status clba_rigs_init(clba_rigs* rigs, size_t struct_size);
+/* Replaces all rigs; NULL removes them. Each frame has an image. Images take the poses that frames
+ * and sensors give them. Constants of images in rigs are said here, not by
+ * clba_problem_set_constant_images, and their uncertainties are 1. New poses of as many images as
+ * before must agree with the rigs; another number of images removes them, and images that are added
+ * are in none. */
+CLBA_API clba_status clba_problem_set_rigs(clba_problem* problem, const clba_rigs* rigs);
+/* Rows [first, first + count) of the poses of frames and of sensors, and of what is constant. NULL
+ * outputs are skipped. */
+CLBA_API clba_status clba_problem_get_frames(const clba_problem* problem, int32_t first,
+                                             int32_t count, double* poses, size_t poses_stride,
+                                             int32_t* flags, size_t flags_stride);
+CLBA_API clba_status clba_problem_get_sensors(const clba_problem* problem, int32_t first,
+                                              int32_t count, double* poses, size_t poses_stride,
+                                              int32_t* flags, size_t flags_stride);
+/* Of images: -1 where they are in no rig. NULL outputs are skipped. */
+CLBA_API clba_status clba_problem_get_image_rigs(const clba_problem* problem, int32_t first,
+                                                 int32_t count, int32_t* frames,
+                                                 size_t frames_stride, int32_t* sensors,
+                                                 size_t sensors_stride);
 
 /* ---- Priors ---------------------------------------------------------------------------------- */
 
@@ -580,10 +624,12 @@ CLBA_API clba_status clba_problem_solve(clba_problem* problem, clba_context* con
 /* A part of a map to refine while the rest stays: local bundle adjustment. Free are the images, the
  * points and the cameras that only these images use. What their observations refer to besides is
  * constant: other images that see the points, other points that the images see, and cameras that
- * images outside the window use. */
+ * images outside the window use. Images of a frame belong together: with one of them the others are
+ * in the window too. Sensors of rigs are free or constant as cameras are. */
 typedef struct clba_window {
     uint32_t struct_size;
-    int32_t refine_shared_cameras; /* 1: also cameras that images outside the window use; 0 */
+    int32_t refine_shared_cameras; /* 1: also cameras, and sensors of rigs, that images outside the
+                                      window use; 0 */
     int32_t num_images;
     int32_t num_points;
     const int32_t* images;       /* num_images of them, each once */
@@ -619,20 +665,28 @@ CLBA_API const char* clba_result_json(const clba_result* result);
  *   - for each camera that several images or none use, in order: its intrinsics;
  *   - for each point, in order: x, y, z.
  * A step moves R <- exp([w]_x) R, t <- exp([w]_x) t + v: the camera turns about its own centre, and
- * v moves it along its own axes. Everything else is added. Columns of constant parameters are 0. */
+ * v moves it along its own axes. Everything else is added. Columns of constant parameters are 0.
+ * Images of rigs do not have w and v of their own: at the first image of a frame are those of the
+ * frame's pose, and after all images, for each sensor in order, those of its pose; their cameras'
+ * intrinsics come last, shared or not. An image alone in its frame, of a constant sensor whose pose
+ * is the identity, is as one in no rig. */
 
 /* Offsets into a parameter vector; any pointer may be NULL. Point p is at
  * num_image_camera_parameters + 3 p. */
 CLBA_API clba_status clba_problem_get_offsets(const clba_problem* problem,
                                               int64_t* pose_offsets,        /* num_images */
                                               int64_t* intrinsics_offsets); /* num_cameras */
+/* Of each sensor of rigs; -1 where no image needs it. */
+CLBA_API clba_status clba_problem_get_sensor_offsets(const clba_problem* problem, int64_t* offsets);
 
 /* What to compute; a NULL output is skipped. Residuals and Jacobian are whitened by the covariances
  * and multiplied by sqrt(rho'), so that gradient = J^T r, to which priors add: cost and gradient
  * include them, residuals and Jacobian are those of observations alone. The Jacobian is in block
  * compressed sparse rows: block row i is observation i, with a 2 x C block for its image's pose (6
  * columns) and camera's intrinsics (C = num_parameters_per_image_block, padded with 0 on the
- * right), and a 2 x 3 block for its point. */
+ * right), and a 2 x 3 block for its point. Of an image in a rig the 6 columns are those of its own
+ * w and v, constant or not: times I for its sensor, and times [R_s, 0; [t_s]_x R_s, R_s] for its
+ * frame. */
 typedef struct clba_evaluation {
     uint32_t struct_size;
     int32_t precision;       /* in: CLBA_PRECISION_DOUBLE by default */
@@ -750,7 +804,8 @@ CLBA_API clba_status clba_problem_covariance(clba_problem* problem, clba_context
 CLBA_API void clba_covariance_release(clba_covariance* covariance); /* NULL is allowed */
 CLBA_API clba_status clba_covariance_get_info(const clba_covariance* covariance,
                                               clba_covariance_info* info);
-/* What clba_covariance_get gives: row i of values is a symmetric matrix, of n x n numbers. */
+/* What clba_covariance_get gives: row i of values is a symmetric matrix, of n x n numbers. Images
+ * of rigs have what follows from their frames and sensors. */
 enum {
     CLBA_BLOCK_POSE = 1,       /* of image i: rotation, position (the tangent space); n = 6 */
     CLBA_BLOCK_CENTER = 2,     /* of image i's centre -R^T t, in world coordinates; n = 3 */

@@ -268,6 +268,14 @@ struct PointInfo {
     std::vector<uint64_t> ids;
     std::vector<std::array<uint8_t, 3>> colors;
 };
+// clba_rigs: frames and sensors of each image, -1 where it is in no rig. Frames without poses get
+// them from their images, and what is constant nowhere is empty.
+struct Rigs {
+    std::vector<int32_t> frames, sensors;
+    std::vector<std::array<double, 7>> sensor_poses, frame_poses;
+    std::vector<int32_t> constant_sensors, constant_frames;  // sums of CLBA_CONSTANT_*
+};
+
 struct Observations {
     std::vector<int32_t> images, points;
     std::vector<std::array<double, 2>> xy;
@@ -721,6 +729,63 @@ public:
     void set_relative_pose_priors(Rows<const int32_t, 2> pairs, Rows<const double, 7> poses,
                                   Rows<const double, 36> covariances) {
         set_priors(clba_problem_set_relative_pose_priors, pairs, poses, covariances);
+    }
+
+    void set_rigs(const Rigs& rigs) {  // {} removes them
+        const int64_t num_images = info().num_images;
+        const auto size = [](const auto& rows) { return static_cast<int64_t>(rows.size()); };
+        auto described = detail::sized<clba_rigs>();
+        check(clba_rigs_init(&described, sizeof described));
+        for (const int32_t frame : rigs.frames)
+            if (frame >= described.num_frames) described.num_frames = frame + 1;
+        described.num_sensors = detail::count32(size(rigs.sensor_poses), "sensors");
+        if (described.num_frames > 0) {
+            detail::require_equal(size(rigs.frames), num_images, "frames", "images");
+            detail::require_equal(size(rigs.sensors), num_images, "sensors", "images");
+            for (const auto* rows : {&rigs.constant_sensors, &rigs.constant_frames})
+                if (!rows->empty())
+                    detail::require_equal(size(*rows),
+                                          rows == &rigs.constant_frames ? described.num_frames
+                                                                        : described.num_sensors,
+                                          "constants",
+                                          rows == &rigs.constant_frames ? "frames" : "sensors");
+            if (!rigs.frame_poses.empty())
+                detail::require_equal(size(rigs.frame_poses), described.num_frames, "frame_poses",
+                                      "frames");
+        }
+        const auto ints = [](const auto& rows) { return rows.empty() ? nullptr : rows.data(); };
+        const auto poses = [](const auto& rows) {
+            return rows.empty() ? nullptr : rows.front().data();
+        };
+        described.frames = ints(rigs.frames);
+        described.sensors = ints(rigs.sensors);
+        described.sensor_poses = poses(rigs.sensor_poses);
+        described.frame_poses = poses(rigs.frame_poses);
+        described.constant_sensors = ints(rigs.constant_sensors);
+        described.constant_frames = ints(rigs.constant_frames);
+        check(clba_problem_set_rigs(object_, &described));
+    }
+    Rigs rigs() const {
+        const ProblemInfo sizes = info();
+        const auto num_images = static_cast<size_t>(sizes.num_images);
+        const auto num_frames = static_cast<size_t>(sizes.num_frames);
+        const auto num_sensors = static_cast<size_t>(sizes.num_sensors);
+        Rigs rigs;
+        if (num_frames == 0) return rigs;
+        rigs.frames.resize(num_images);
+        rigs.sensors.resize(num_images);
+        rigs.frame_poses.resize(num_frames);
+        rigs.constant_frames.resize(num_frames);
+        rigs.sensor_poses.resize(num_sensors);
+        rigs.constant_sensors.resize(num_sensors);
+        check(clba_problem_get_image_rigs(object_, 0, sizes.num_images, rigs.frames.data(), 0,
+                                          rigs.sensors.data(), 0));
+        check(clba_problem_get_frames(object_, 0, sizes.num_frames, rigs.frame_poses.front().data(),
+                                      0, rigs.constant_frames.data(), 0));
+        check(clba_problem_get_sensors(object_, 0, sizes.num_sensors,
+                                       rigs.sensor_poses.front().data(), 0,
+                                       rigs.constant_sensors.data(), 0));
+        return rigs;
     }
 
     void set_loss(int32_t loss, double scale = 1) {

@@ -96,15 +96,18 @@ enum class Changed {
     scales,        // constants and uncertainties
     measurements,  // observations' values and covariances
     rows_added,    // the mirror, but not the lists of observations
+    rigs,          // likewise, and the lists of rigs
     structure      // all
 };
 
 inline void note_change(clba_problem& handle, Changed change) {
     if (change == Changed::rows_added) extend_infos(handle.reconstruction);
-    if (change == Changed::structure || change == Changed::rows_added) handle.mirror.reset();
+    if (change == Changed::structure || change == Changed::rows_added || change == Changed::rigs)
+        handle.mirror.reset();
     if (change == Changed::structure) handle.index.reset();
-    if (change == Changed::rows_added && handle.index) {
+    if ((change == Changed::rows_added || change == Changed::rigs) && handle.index) {
         try {
+            if (change == Changed::rigs) handle.index->list_rigs(handle.problem);
             handle.index->extend(handle.problem);
         } catch (const std::bad_alloc&) {
             handle.index.reset();

@@ -240,6 +240,8 @@ clba_status clba_problem_get_info(const clba_problem* problem, clba_problem_info
         out.num_image_camera_parameters = layout.num_f;
         out.num_parameters_per_image_block = layout.max_image_columns;
         out.num_shared_cameras = layout.num_shared_cameras;
+        out.num_frames = static_cast<int32_t>(p.rigs.frames.size());
+        out.num_sensors = static_cast<int32_t>(p.rigs.sensors.size());
         copy_out(out, info, "info");
     });
 }
@@ -276,8 +278,12 @@ clba_status clba_problem_set_images(clba_problem* problem, int32_t count,
     return changed(problem, [&](Problem& p) {
         std::vector<Image> images =
             read_images(p, count, camera_indices, camera_stride, poses, poses_stride);
-        if (images.size() != p.images.size()) {
+        if (images.size() == p.images.size()) {
+            p.rigs.frames = frames_from_images(p.rigs, images);
+            compose_images(p.rigs, images);
+        } else {
             drop_observations(p);
+            p.rigs = Rigs();
             p.constant_images.clear();
             p.image_uncertainties.clear();
             p.priors.positions.clear();
@@ -382,10 +388,14 @@ clba_status clba_problem_add_images(clba_problem* problem, int32_t count,
         make_room(p.images, images.size());
         make_optional_room(p.constant_images, images.size());
         make_optional_room(p.image_uncertainties, images.size());
+        make_optional_room(p.rigs.image_frame, images.size());
+        make_optional_room(p.rigs.image_sensor, images.size());
         append(images, p.images);
         append_optional(p.constant_images, images.size(), uint8_t{0});
         append_optional(p.image_uncertainties, images.size(),
                         filled_with_ones(p.image_uncertainties));
+        append_optional(p.rigs.image_frame, images.size(), int32_t{-1});
+        append_optional(p.rigs.image_sensor, images.size(), int32_t{-1});
         return Changed::rows_added;
     });
 }
@@ -534,6 +544,8 @@ clba_status clba_problem_set_constant_images(clba_problem* problem, int32_t coun
             require((flag & ~int32_t{CLBA_CONSTANT_POSE}) == 0, "flags[", i, "] = ", flag,
                     ", but it is a sum of CLBA_CONSTANT_ROTATION (1) and CLBA_CONSTANT_POSITION "
                     "(2)");
+            require(flag == 0 || !p.rigs.has(i), "flags[", i, "] = ", flag, ", but image ", i,
+                    " is in a rig; hold its frame and its sensor by clba_problem_set_rigs");
             constant[i] = static_cast<uint8_t>(flag);
         }
         p.constant_images = std::move(constant);
@@ -593,6 +605,11 @@ clba_status clba_problem_set_image_uncertainties(clba_problem* problem, int32_t 
         std::vector<std::array<double, num_pose_params>> uncertainties(static_cast<size_t>(count));
         for (int32_t i = 0; i < count; ++i)
             read_uncertainty(rows, i, i, num_pose_params, uncertainties[i]);
+        for (int32_t i = 0; i < count; ++i)
+            for (int k = 0; k < num_pose_params && p.rigs.has(i); ++k)
+                require(uncertainties[i][k] == 1, "values[", i, "][", k,
+                        "] = ", uncertainties[i][k], ", but image ", i,
+                        " is in a rig, where uncertainties are 1");
         p.image_uncertainties = std::move(uncertainties);
         return Changed::scales;
     });

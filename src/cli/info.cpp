@@ -34,6 +34,9 @@ void print_info(const std::string& path) {
     std::printf("images                  %d\n", info.num_images);
     std::printf("cameras                 %d, of which %d shared\n", info.num_cameras,
                 info.num_shared_cameras);
+    if (info.num_frames > 0)
+        std::printf("rigs                    %d frames of %d sensors\n", info.num_frames,
+                    info.num_sensors);
     std::printf("points                  %d\n", info.num_points);
     std::printf("observations            %lld\n", static_cast<long long>(info.num_observations));
     std::printf("parameters              %lld, of which %lld of images and cameras\n",

@@ -40,6 +40,7 @@ struct SolveArguments {
     double loss_scale = 1;
     clba_filter_options filter = filter_defaults();
     int32_t filter_rounds = 0;
+    bool constant_sensors = false;
     bool verify = false;
     bool quiet = false;
 };
@@ -53,11 +54,38 @@ Context make_context(const std::string& device) {
     return Context(context);
 }
 
+// The rigs of the file with all sensors constant.
+void hold_sensors(clba_problem* problem) {
+    const clba_problem_info info = info_of(problem);
+    if (info.num_frames == 0) return;
+    const auto num_images = static_cast<size_t>(info.num_images);
+    std::vector<int32_t> frames(num_images), sensors(num_images);
+    std::vector<double> sensor_poses(7 * static_cast<size_t>(info.num_sensors));
+    std::vector<double> frame_poses(7 * static_cast<size_t>(info.num_frames));
+    const std::vector<int32_t> constant(static_cast<size_t>(info.num_sensors), CLBA_CONSTANT_POSE);
+    check(clba_problem_get_image_rigs(problem, 0, info.num_images, frames.data(), 0, sensors.data(),
+                                      0));
+    check(
+        clba_problem_get_sensors(problem, 0, info.num_sensors, sensor_poses.data(), 0, nullptr, 0));
+    check(clba_problem_get_frames(problem, 0, info.num_frames, frame_poses.data(), 0, nullptr, 0));
+    clba_rigs rigs = {};
+    check(clba_rigs_init(&rigs, sizeof rigs));
+    rigs.num_frames = info.num_frames;
+    rigs.num_sensors = info.num_sensors;
+    rigs.frames = frames.data();
+    rigs.sensors = sensors.data();
+    rigs.sensor_poses = sensor_poses.data();
+    rigs.frame_poses = frame_poses.data();
+    rigs.constant_sensors = constant.data();
+    check(clba_problem_set_rigs(problem, &rigs));
+}
+
 Problem read_start(const SolveArguments& arguments) {
     Problem problem = read_problem(arguments.file, arguments.quiet);
     if (info_of(problem.get()).num_observations == 0)
         throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
     check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
+    if (arguments.constant_sensors) hold_sensors(problem.get());
     if (!arguments.position_priors.empty())
         read_position_priors(arguments.position_priors, problem.get());
     if (!arguments.point_priors.empty()) read_point_priors(arguments.point_priors, problem.get());
@@ -226,6 +254,8 @@ void add_solver_options(CLI::App& command, SolveArguments& arguments) {
     add_choice(command, "--damping", options.damping, clba_damping_name,
                "diagonal that the damping multiplies");
     add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");
+    command.add_flag("--constant-sensors", arguments.constant_sensors,
+                     "hold the cameras of rigs in their places on them");
     command.add_option("--loss-scale", arguments.loss_scale, "where the loss sets in, pixels")
         ->check(positive_number)
         ->capture_default_str();

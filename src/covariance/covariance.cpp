@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -114,10 +115,34 @@ void settle(int32_t size, double* values, const State& state) {
 void settle_blocks(const UndampedSystem& system, Covariance& covariance) {
     const ParameterLayout& layout = system.device.layout();
     const auto state_of = [&](int32_t scalar) {
-        if (!(layout.scale[scalar] > 0) || system.gauge.holds(scalar)) return 0.0;
+        if (!(layout.scale[scalar] > 0)) return 0.0;
         return system.is_observed[scalar] ? 1.0 : infinity;
     };
     const Problem& problem = system.problem;
+    // By the gauge: the image that it names, and those that are rigid with it.
+    const auto has_constant_sensor = [&](int32_t image) {
+        const int32_t offset = layout.sensor_offset(layout.image_sensor[image]);
+        return std::none_of(layout.scale.begin() + offset,
+                            layout.scale.begin() + offset + num_pose_params,
+                            [](double scale) { return scale > 0; });
+    };
+    const auto is_held = [&](int32_t image) {
+        const int32_t held = system.gauge.held_image();
+        if (image == held) return true;
+        return held >= 0 && layout.is_composed(image) && layout.is_composed(held) &&
+               layout.pose_block[image] == layout.pose_block[held] && has_constant_sensor(image) &&
+               has_constant_sensor(held);
+    };
+    // Entry k of the pose is moved by rotations of frame and sensor, and from the fourth on by
+    // their positions too.
+    const auto state_of_composed = [&](int32_t image, int32_t k) {
+        double state = 0;
+        for (const int32_t offset :
+             {layout.pose_offset[image], layout.sensor_offset(layout.image_sensor[image])})
+            for (int32_t scalar = 0; scalar < (k < 3 ? 3 : num_pose_params); ++scalar)
+                state = std::max(state, state_of(offset + scalar));
+        return state;
+    };
     for (int32_t c = 0; c < problem.num_cameras(); ++c)
         settle(covariance.camera_size[c], covariance.cameras.data() + covariance.camera_begin[c],
                [&](int32_t k) { return state_of(layout.intrinsics_offset[c] + k); });
@@ -125,9 +150,11 @@ void settle_blocks(const UndampedSystem& system, Covariance& covariance) {
         const int32_t camera = problem.images[i].camera;
         settle(covariance.image_size[i], covariance.images.data() + covariance.image_begin[i],
                [&](int32_t k) {
-                   return state_of(k < num_pose_params
-                                       ? layout.pose_offset[i] + k
-                                       : layout.intrinsics_offset[camera] + k - num_pose_params);
+                   if (k >= num_pose_params)
+                       return state_of(layout.intrinsics_offset[camera] + k - num_pose_params);
+                   if (is_held(i)) return 0.0;
+                   if (!layout.is_composed(i)) return state_of(layout.pose_offset[i] + k);
+                   return state_of_composed(i, k);
                });
     }
     for (size_t p = 0; p < covariance.points.size(); ++p) {

@@ -9,6 +9,7 @@
 #include "base/parallel.hpp"
 #include "base/stopwatch.hpp"
 #include "covariance/estimates.hpp"
+#include "covariance/image_tangent.hpp"
 #include "covariance/point_sights.hpp"
 #include "linear/block_inverse.hpp"
 
@@ -45,6 +46,7 @@ public:
         const Stopwatch inverse;
         invert();
         fill_images();
+        fill_composed_images();
         covariance_.inverse_seconds = inverse.seconds();
         const Stopwatch points;
         fill_points();
@@ -61,8 +63,9 @@ private:
         const int num_freedoms = system_.gauge.num_freedoms();
         if (num_freedoms == 0) return;
         MatrixXd rows = system_.gauge.of_f().transpose();
-        for (const int32_t offset : layout_.pose_offset)
-            rows.middleCols<3>(offset + 3) /= system_.similarities.extent();
+        for (const ParameterBlock& block : layout_.blocks)
+            if (block.has_pose())
+                rows.middleCols<3>(block.offset + 3) /= system_.similarities.extent();
         for (int32_t k = 0; k < layout_.num_f; ++k)
             if (is_left_out_[k]) rows.col(k).setZero();
         const Eigen::ColPivHouseholderQR<MatrixXd> qr(rows);
@@ -95,10 +98,7 @@ private:
         fail(Status::invalid_argument,
              "the observations do not determine all poses and intrinsics, so that their covariance "
              "is infinite",
-             is_definite ? text(": what is left of ",
-                                worst->image >= 0 ? text("image ", worst->image)
-                                                  : text("camera ", worst->camera),
-                                " is below rounding")
+             is_definite ? text(": what is left of ", name_of(*worst), " is below rounding")
                          : std::string(),
              "; image ", fewest - num_sights.begin(),
              " has the fewest observations of points with "
@@ -186,7 +186,7 @@ private:
         for (size_t b = 0; b < layout_.blocks.size(); ++b) {
             const ParameterBlock& of_block = layout_.blocks[b];
             const auto row = static_cast<int32_t>(b);
-            if (of_block.image < 0) {
+            if (!of_block.has_pose()) {
                 block_of_camera[of_block.camera] = row;
                 Eigen::Map<RowMajor>(
                     covariance_.cameras.data() + covariance_.camera_begin[of_block.camera],
@@ -220,6 +220,34 @@ private:
             if (shared < 0)
                 Eigen::Map<RowMajor>(covariance_.cameras.data() + covariance_.camera_begin[camera],
                                      n, n) = joint.bottomRightCorner(n, n);
+        }
+    }
+
+    static std::string name_of(const ParameterBlock& block) {
+        if (block.image >= 0) return text("image ", block.image);
+        if (block.frame >= 0) return text("frame ", block.frame);
+        if (block.sensor >= 0) return text("sensor ", block.sensor);
+        return text("camera ", block.camera);
+    }
+
+    // From the joint blocks of frames, sensors and cameras.
+    void fill_composed_images() {
+        for (const int32_t image : layout_.composed) {
+            const ImageTangent tangent(system_.problem, layout_, image);
+            const int32_t size = covariance_.image_size[image];
+            MatrixXd joint = MatrixXd::Zero(size, size);
+            for (const ImageTangent::Part& a : tangent.parts()) {
+                for (const ImageTangent::Part& b : tangent.parts()) {
+                    if (b.block > a.block) continue;
+                    const MatrixXd product =
+                        a.matrix * block(a.block, b.block) * b.matrix.transpose();
+                    joint += product;
+                    if (b.block != a.block) joint += product.transpose();
+                }
+            }
+            Eigen::Map<RowMajor>(covariance_.images.data() + covariance_.image_begin[image], size,
+                                 size) =
+                transformed(joint, tangent(system_.gauge.of_f()), tangent(solution_));
         }
     }
 

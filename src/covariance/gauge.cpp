@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "base/error.hpp"
+#include "covariance/image_tangent.hpp"
 
 namespace clba {
 namespace {
@@ -29,7 +30,7 @@ Vector3d center_of(const Problem& problem, int32_t image) {
 }
 
 bool is_constant(const Problem& problem, int32_t image, int bits) {
-    return !problem.constant_images.empty() && (problem.constant_images[image] & bits);
+    return (problem.constants_of_image(image) & bits) != 0;
 }
 
 void require_index(int32_t index, int32_t count, const char* what) {
@@ -111,15 +112,27 @@ Eigen::Matrix<double, 6, 7> Similarities::of_pose(const Pose& pose) const {
     return tangent;
 }
 
+Eigen::Matrix<double, 6, 7> Similarities::of_block(const Problem& problem,
+                                                   const ParameterBlock& block) const {
+    if (block.image >= 0) return of_pose(problem.images[block.image].pose);
+    if (block.frame >= 0) return of_pose(problem.rigs.frames[block.frame]);
+    Eigen::Matrix<double, 6, 7> tangent = Eigen::Matrix<double, 6, 7>::Zero();
+    tangent.block<3, 1>(3, 6) = vector_of(problem.rigs.sensors[block.sensor].translation);
+    return tangent;
+}
+
 Freedoms free_similarities(const Problem& problem, const ParameterLayout& layout,
                            const Similarities& similarities) {
     Eigen::Matrix<double, 7, 7> held = Eigen::Matrix<double, 7, 7>::Zero();
-    for (int32_t i = 0; i < problem.num_images(); ++i) {
-        const auto tangent = similarities.of_pose(problem.images[i].pose);
+    for (const ParameterBlock& block : layout.blocks) {
+        if (!block.has_pose()) continue;
+        const auto tangent = similarities.of_block(problem, block);
         for (int k = 0; k < num_pose_params; ++k) {
-            if (layout.scale[layout.pose_offset[i] + k] > 0) continue;
-            const double unit = k < 3 ? 1 : similarities.extent();
-            held += tangent.row(k).transpose() * tangent.row(k) / (unit * unit);
+            if (layout.scale[block.offset + k] > 0) continue;
+            double unit = k < 3 ? 1 : similarities.extent();
+            // However short a rig is, it has a length.
+            if (block.sensor >= 0) unit = std::abs(tangent(k, 6));
+            if (unit > 0) held += tangent.row(k).transpose() * tangent.row(k) / (unit * unit);
         }
     }
     for (int32_t p = 0; p < problem.num_points(); ++p) {
@@ -201,26 +214,24 @@ Constraints make_constraints(const Problem& problem, const ParameterLayout& layo
             ", but the problem itself fixes all 7 freedoms of a similarity; choose gauge = "
             "problem");
     std::vector<Eigen::VectorXd> columns;
-    const auto held_scalar = [&](int32_t scalar, double value) {
-        columns.emplace_back(Eigen::VectorXd::Zero(layout.num_f));
-        columns.back()[scalar] = value;
-    };
     const double unit = 1 / similarities.extent();
+    const auto hold = [&](int32_t image, const Eigen::Matrix<double, 6, 1>& weights) {
+        Eigen::MatrixXd column = Eigen::MatrixXd::Zero(layout.num_f, 1);
+        ImageTangent(problem, layout, image).add_pose_functional(layout, weights, column);
+        if (!column.isZero(0)) columns.emplace_back(column);
+    };
     if (choice.gauge == Gauge::first_image_and_baseline) {
         const int32_t first = choice.images[0], second = choice.images[1];
         for (int k = 0; k < num_pose_params; ++k)
-            if (layout.scale[layout.pose_offset[first] + k] > 0)
-                held_scalar(layout.pose_offset[first] + k, k < 3 ? 1 : unit);
+            hold(first, (k < 3 ? 1 : unit) * Eigen::Matrix<double, 6, 1>::Unit(k));
         const Vector3d baseline = center_of(problem, second) - center_of(problem, first);
         require(baseline.norm() > 1e-9 * similarities.extent(), "images ", first, " and ", second,
                 " of the gauge are at the same place; name two that are apart");
-        const int32_t position = layout.pose_offset[second] + 3;
-        if (layout.scale[position] > 0) {
-            const Vector3d along =
-                unit * (rotation_of(problem.images[second].pose) * baseline.normalized());
-            held_scalar(position, 0);
-            columns.back().segment<3>(position) = along;
-        }
+        Eigen::Matrix<double, 6, 1> along = Eigen::Matrix<double, 6, 1>::Zero();
+        along.tail<3>() = unit * (rotation_of(problem.images[second].pose) * baseline.normalized());
+        // Constant sensors of rigs hold the scale, and nothing else does alone.
+        const bool is_scale_held = layout.has_rigs() && freedoms.row(6).norm() < 1e-6;
+        if (!is_scale_held) hold(second, along);
     } else if (choice.gauge == Gauge::three_points) {
         require_points(problem, choice);
         std::array<Vector3d, 3> x;
@@ -239,11 +250,12 @@ Constraints make_constraints(const Problem& problem, const ParameterLayout& layo
     } else {
         Eigen::MatrixXd inner = Eigen::MatrixXd::Zero(layout.num_f, num_freedoms);
         for (int32_t i = 0; i < problem.num_images(); ++i) {
-            const int32_t position = layout.pose_offset[i] + 3;
-            if (layout.scale[position] > 0 && is_observed[position])
-                inner.middleRows<3>(position) =
-                    unit * unit * similarities.of_pose(problem.images[i].pose).bottomRows<3>() *
-                    freedoms;
+            if (!is_observed[layout.pose_offset[i] + 3]) continue;
+            Eigen::MatrixXd weights = Eigen::MatrixXd::Zero(num_pose_params, num_freedoms);
+            weights.bottomRows<3>() = unit * unit *
+                                      similarities.of_pose(problem.images[i].pose).bottomRows<3>() *
+                                      freedoms;
+            ImageTangent(problem, layout, i).add_pose_functional(layout, weights, inner);
         }
         for (Eigen::Index k = 0; k < num_freedoms; ++k) columns.emplace_back(inner.col(k));
     }
@@ -260,9 +272,17 @@ void fix_gauge(const GaugeChoice& given, const GaugeTarget& target, Problem& pro
     const auto any = [](const auto& flags) {
         return std::any_of(flags.begin(), flags.end(), [](auto flag) { return flag != 0; });
     };
-    require(!any(problem.constant_images) && !any(problem.constant_points),
+    require(!any(problem.constant_images) && !any(problem.constant_points) &&
+                !any(problem.rigs.constant_frames),
             "the gauge of this problem is held by constant poses or points, which must not move; "
             "only a problem without them can be moved");
+    const Rigs& rigs = problem.rigs;
+    for (size_t s = 0; s < rigs.sensors.size(); ++s)
+        require(!(rigs.constant_sensors[s] & constant_position) ||
+                    rigs.sensors[s].translation == Point{0, 0, 0},
+                "the scale of this problem is held by sensor ", s,
+                " of a rig, whose position in it is constant; only a problem without such sensors "
+                "can be moved");
     const Priors& priors = problem.priors;
     require(priors.positions.empty() && priors.poses.empty() && priors.points.empty() &&
                 priors.relative_poses.empty(),
@@ -318,20 +338,25 @@ void fix_gauge(const GaugeChoice& given, const GaugeTarget& target, Problem& pro
         to = similarity.topRightCorner<3, 1>();
     }
     const Eigen::Quaterniond turn(Matrix3d(rotation.transpose()));
-    for (int32_t i = 0; i < problem.num_images(); ++i) {
-        Pose& pose = problem.images[i].pose;
-        const Vector3d center = scale * (rotation * (center_of(problem, i) - from)) + to;
+    const auto move = [&](Pose& pose) {
+        const Vector3d center = scale * (rotation * (vector_of(camera_center(pose)) - from)) + to;
         pose.rotation =
             normalized(quaternion_product(pose.rotation, {turn.w(), turn.x(), turn.y(), turn.z()}));
         const Vector3d translation = -(rotation_of(pose) * center);
         std::copy_n(translation.data(), 3, pose.translation.begin());
-    }
+    };
+    for (int32_t i = 0; i < problem.num_images(); ++i)
+        if (!rigs.has(i)) move(problem.images[i].pose);
+    for (Pose& frame : problem.rigs.frames) move(frame);
+    for (Pose& sensor : problem.rigs.sensors)
+        for (double& coordinate : sensor.translation) coordinate *= scale;
+    compose_images(problem.rigs, problem.images);
     for (Point& point : problem.points) {
         const Vector3d moved = scale * (rotation * (vector_of(point) - from)) + to;
         std::copy_n(moved.data(), 3, point.begin());
     }
     // Without the rounding of the move.
-    if (choice.gauge == Gauge::first_image_and_baseline)
+    if (choice.gauge == Gauge::first_image_and_baseline && !rigs.has(choice.images[0]))
         problem.images[choice.images[0]].pose = target.pose;
 }
 

@@ -35,6 +35,8 @@ public:
     explicit Similarities(const Problem& problem);
     Eigen::Matrix<double, 3, 7> of_position(const Point& position) const;
     Eigen::Matrix<double, 6, 7> of_pose(const Pose& pose) const;  // of clba.h's tangent
+    // Of a block with a pose; a sensor's place in its rig is scaled.
+    Eigen::Matrix<double, 6, 7> of_block(const Problem& problem, const ParameterBlock& block) const;
     double extent() const { return extent_; }
 
 private:

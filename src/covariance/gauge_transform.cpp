@@ -11,12 +11,12 @@ namespace clba {
 Eigen::MatrixXd f_tangents(const Problem& problem, const ParameterLayout& layout,
                            const Similarities& similarities, const Freedoms& freedoms) {
     Eigen::MatrixXd tangents = Eigen::MatrixXd::Zero(layout.num_f, freedoms.cols());
-    for (int32_t i = 0; i < problem.num_images(); ++i) {
-        const int32_t offset = layout.pose_offset[i];
-        tangents.middleRows<num_pose_params>(offset) =
-            similarities.of_pose(problem.images[i].pose) * freedoms;
-        for (int k = 0; k < num_pose_params; ++k)
-            if (!(layout.scale[offset + k] > 0)) tangents.row(offset + k).setZero();
+    for (const ParameterBlock& block : layout.blocks) {
+        if (!block.has_pose()) continue;
+        tangents.middleRows<num_pose_params>(block.offset) =
+            similarities.of_block(problem, block) * freedoms;
+        for (int32_t k = block.offset; k < block.offset + num_pose_params; ++k)
+            if (!(layout.scale[k] > 0)) tangents.row(k).setZero();
     }
     return tangents;
 }
@@ -28,8 +28,7 @@ GaugeTransform::GaugeTransform(const Problem& problem, const ParameterLayout& la
       similarities_(similarities),
       freedoms_(freedoms),
       constraints_(std::move(constraints)),
-      of_f_(f_tangents(problem, layout, similarities, freedoms)),
-      is_held_(static_cast<size_t>(layout.num_f), 0) {
+      of_f_(f_tangents(problem, layout, similarities, freedoms)) {
     if (num_freedoms() == 0) return;
     Eigen::MatrixXd held = constraints_.f.transpose() * of_f_;
     for (const auto& [point, c] : constraints_.points) held += c.transpose() * of_point(point);
@@ -38,9 +37,7 @@ GaugeTransform::GaugeTransform(const Problem& problem, const ParameterLayout& la
             " does not hold all freedoms of a similarity here: what it holds lies on a line or "
             "falls together; choose another gauge, or other images or points");
     inverse_ = lu.inverse();
-    if (choice.gauge != Gauge::first_image_and_baseline) return;
-    for (int k = 0; k < num_pose_params; ++k)
-        is_held_[layout.pose_offset[choice.images[0]] + k] = 1;
+    if (choice.gauge == Gauge::first_image_and_baseline) held_image_ = choice.images[0];
 }
 
 Eigen::Matrix<double, 3, Eigen::Dynamic> GaugeTransform::of_point(int32_t point) const {

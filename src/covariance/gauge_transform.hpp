@@ -23,8 +23,7 @@ public:
     // Rows of N.
     const Eigen::MatrixXd& of_f() const { return of_f_; }
     Eigen::Matrix<double, 3, Eigen::Dynamic> of_point(int32_t point) const;
-    // Whether the gauge holds this scalar by itself.
-    bool holds(int32_t scalar) const { return is_held_[scalar] != 0; }
+    int32_t held_image() const { return held_image_; }  // whose pose the gauge holds, -1: none
 
 private:
     const Problem& problem_;
@@ -32,7 +31,7 @@ private:
     Freedoms freedoms_;
     Constraints constraints_;
     Eigen::MatrixXd of_f_, inverse_;
-    std::vector<char> is_held_;
+    int32_t held_image_ = -1;
 };
 
 // N of the F side: rows of constants and of intrinsics are 0.

@@ -73,30 +73,29 @@ std::vector<PointSights> make_point_sights(const Problem& problem, DeviceProblem
                                });
 
     const ParameterLayout& layout = device.layout();
-    std::vector<int32_t> block_of_image(problem.images.size(), -1);
-    std::vector<int32_t> block_of_camera(problem.cameras.size(), -1);
-    for (size_t b = 0; b < layout.blocks.size(); ++b) {
-        const ParameterBlock& block = layout.blocks[b];
-        (block.image >= 0 ? block_of_image[block.image] : block_of_camera[block.camera]) =
-            static_cast<int32_t>(b);
-    }
+    std::vector<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> frame_tangents;  // of sensors
+    for (const Pose& sensor : problem.rigs.sensors)
+        frame_tangents.emplace_back(frame_tangent(sensor).data());
     for (const Sight& sight : sights) {
         PointSights& of_point = all[sight.point];
         const Gain gain = of_point.inverse * sight.product;
-        const auto add = [&](int32_t b, Eigen::Index first) {
-            const ParameterBlock& block = layout.blocks[b];
-            auto part = std::find_if(of_point.parts.begin(), of_point.parts.end(),
-                                     [&](const PointSights::Part& p) { return p.block == b; });
+        ImagePart parts[ParameterLayout::max_image_parts];
+        const int count = layout.parts_of(sight.image, problem.images[sight.image].camera, parts);
+        for (int k = 0; k < count; ++k) {
+            const ParameterBlock& block = layout.blocks[parts[k].block];
+            Gain of_block = gain.middleCols(parts[k].first_column, parts[k].size);
+            if (parts[k].is_of_frame)
+                of_block = (of_block * frame_tangents[layout.image_sensor[sight.image]]).eval();
+            auto part =
+                std::find_if(of_point.parts.begin(), of_point.parts.end(),
+                             [&](const PointSights::Part& p) { return p.block == parts[k].block; });
             if (part == of_point.parts.end()) {
-                of_point.parts.push_back({b, Gain::Zero(3, block.size)});
+                of_point.parts.push_back({parts[k].block, Gain::Zero(3, block.size)});
                 part = of_point.parts.end() - 1;
             }
-            for (int32_t k = 0; k < block.size; ++k)
-                if (layout.scale[block.offset + k] > 0) part->gain.col(k) += gain.col(first + k);
-        };
-        add(block_of_image[sight.image], 0);
-        const int32_t camera = problem.images[sight.image].camera;
-        if (block_of_camera[camera] >= 0) add(block_of_camera[camera], num_pose_params);
+            for (int32_t c = 0; c < block.size; ++c)
+                if (layout.scale[block.offset + c] > 0) part->gain.col(c) += of_block.col(c);
+        }
     }
     return all;
 }

@@ -5,6 +5,7 @@
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "covariance/estimates.hpp"
+#include "covariance/image_tangent.hpp"
 #include "linear/pcg_solvers.hpp"
 
 namespace clba {
@@ -156,10 +157,14 @@ private:
         };
         const Problem& problem = system_.problem;
         for (int32_t i = 0; i < problem.num_images(); ++i) {
-            const int32_t n = covariance_.image_size[i] - num_pose_params;
             VectorXd x(covariance_.image_size[i]);
-            x.head<num_pose_params>() = f_.segment<num_pose_params>(layout_.pose_offset[i]);
-            x.tail(n) = f_.segment(layout_.intrinsics_offset[problem.images[i].camera], n);
+            if (layout_.is_composed(i)) {
+                x = ImageTangent(problem, layout_, i)(f_);
+            } else {
+                const int32_t n = covariance_.image_size[i] - num_pose_params;
+                x.head<num_pose_params>() = f_.segment<num_pose_params>(layout_.pose_offset[i]);
+                x.tail(n) = f_.segment(layout_.intrinsics_offset[problem.images[i].camera], n);
+            }
             add_square(x, covariance_.images.data() + covariance_.image_begin[i]);
         }
         for (int32_t c = 0; c < problem.num_cameras(); ++c)

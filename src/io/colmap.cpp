@@ -294,7 +294,8 @@ Model model_of(const Reconstruction& from) {
     model.has_frames = from.has_frames;
     model.rigs = from.rigs;
     model.frames = from.frames;
-    if (from.has_frames && !is_as_read) colmap::update_frames(model);
+    if ((from.has_frames || !from.problem.rigs.empty()) && !is_as_read)
+        colmap::update_frames(from.problem, model);
     return model;
 }
 

@@ -55,6 +55,25 @@ Camera snavely_of(const Problem& problem, int32_t index) {
     }
 }
 
+// Of images with cameras that were turned. Where not all of a sensor's were there is no rig any
+// more.
+void turn_sensors(Problem& problem, const std::vector<char>& is_turned) {
+    Rigs& rigs = problem.rigs;
+    std::vector<int> turned(rigs.sensors.size(), -1);
+    for (int32_t i = 0; i < problem.num_images(); ++i) {
+        if (!rigs.has(i)) continue;
+        int& of_sensor = turned[rigs.image_sensor[i]];
+        const int of_image = is_turned[problem.images[i].camera];
+        if (of_sensor >= 0 && of_sensor != of_image) {
+            rigs = Rigs();
+            return;
+        }
+        of_sensor = of_image;
+    }
+    for (size_t s = 0; s < turned.size(); ++s)
+        if (turned[s] == 1) rigs.sensors[s] = half_turn(rigs.sensors[s]);
+}
+
 }  // namespace
 
 bool has_snavely_cameras(const Problem& problem) {
@@ -100,6 +119,7 @@ Reconstruction with_pixel_cameras(const Reconstruction& reconstruction) {
     };
     for (int32_t i = 0; i < problem.num_images(); ++i)
         if (corner(i)) problem.images[i].pose = half_turn(problem.images[i].pose);
+    turn_sensors(problem, moves);
     const auto move = [&](auto& pixel) {
         const Camera* const camera = corner(pixel.image);
         if (!camera) return;

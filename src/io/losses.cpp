@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "base/error.hpp"
+#include "io/colmap_frames.hpp"
 #include "io/convert.hpp"
 #include "io/nvm.hpp"
 #include "io/openmvg.hpp"
@@ -37,10 +38,14 @@ void add_camera_losses(const Problem& problem, std::vector<std::string>& losses)
         losses.push_back(text(count, " cameras that no image has"));
 }
 
+void add_rig_losses(const Reconstruction& reconstruction, std::vector<std::string>& losses) {
+    if (!reconstruction.frames.empty() || !reconstruction.problem.rigs.empty())
+        losses.push_back("rigs and frames");
+}
+
 void add_file_losses(const Reconstruction& reconstruction, std::vector<std::string>& losses) {
     if (!reconstruction.unmatched.empty())
         losses.push_back(text(reconstruction.unmatched.size(), " features without a point"));
-    if (!reconstruction.frames.empty()) losses.push_back("rigs and frames");
     if (const auto* details = reconstruction.details.get())
         losses.push_back(text("what only files of the format ", details->format, " hold"));
 }
@@ -66,8 +71,15 @@ std::vector<std::string> losses_of_bal(const Reconstruction& reconstruction) {
     if (!reconstruction.points.empty()) losses.push_back("ids and colours of points");
     if (!reconstruction.unmatched.empty())
         losses.push_back(text(reconstruction.unmatched.size(), " features without a point"));
-    if (!reconstruction.frames.empty()) losses.push_back("rigs and frames");
+    add_rig_losses(reconstruction, losses);
     return losses;
+}
+
+std::vector<std::string> losses_of_colmap(const Reconstruction& reconstruction) {
+    if (colmap::can_hold_rigs(reconstruction.problem)) return {};
+    return {
+        "rigs where a sensor has several cameras, or shares one with another sensor or with images "
+        "of no rig"};
 }
 
 std::vector<std::string> losses_of_bundler(const Reconstruction& reconstruction) {
@@ -76,6 +88,7 @@ std::vector<std::string> losses_of_bundler(const Reconstruction& reconstruction)
     std::vector<std::string> losses;
     add_camera_losses(problem, losses);
     if (!has_snavely_cameras_only(problem)) losses.push_back("principal points");
+    add_rig_losses(reconstruction, losses);
     if (is_from(reconstruction, "bundler")) return losses;
     if (!reconstruction.cameras.empty()) losses.push_back("ids of cameras and sizes of images");
     if (!reconstruction.images.empty()) losses.push_back("ids of images");
@@ -89,6 +102,7 @@ std::vector<std::string> losses_of_nvm(const Reconstruction& reconstruction) {
     require_nvm_cameras(problem);
     std::vector<std::string> losses;
     add_camera_losses(problem, losses);
+    add_rig_losses(reconstruction, losses);
     if (is_from(reconstruction, "nvm")) return losses;
     losses.push_back("principal points");
     if (!reconstruction.cameras.empty()) losses.push_back("ids of cameras and sizes of images");
@@ -101,6 +115,7 @@ std::vector<std::string> losses_of_nvm(const Reconstruction& reconstruction) {
 std::vector<std::string> losses_of_openmvg(const Reconstruction& reconstruction) {
     require_openmvg_cameras(reconstruction.problem);
     std::vector<std::string> losses;
+    add_rig_losses(reconstruction, losses);
     if (is_from(reconstruction, "openmvg")) return losses;
     if (!reconstruction.points.empty()) losses.push_back("colours of points");
     add_file_losses(reconstruction, losses);
@@ -109,6 +124,7 @@ std::vector<std::string> losses_of_openmvg(const Reconstruction& reconstruction)
 
 std::vector<std::string> losses_of_opensfm(const Reconstruction& reconstruction) {
     std::vector<std::string> losses;
+    add_rig_losses(reconstruction, losses);
     if (is_from(reconstruction, "opensfm")) return losses;
     if (!reconstruction.cameras.empty()) losses.push_back("ids of cameras");
     if (!reconstruction.images.empty()) losses.push_back("ids of images");

@@ -54,6 +54,16 @@ uint64_t digest(const Problem& problem) {
     }
     for (const Point& point : problem.points)
         for (double value : point) digest.add(value);
+    const Rigs& rigs = problem.rigs;
+    for (size_t i = 0; i < rigs.image_frame.size(); ++i) {
+        digest.add(static_cast<uint64_t>(rigs.image_frame[i]));
+        digest.add(static_cast<uint64_t>(rigs.image_sensor[i]));
+    }
+    for (const std::vector<Pose>* poses : {&rigs.frames, &rigs.sensors})
+        for (const Pose& pose : *poses) {
+            for (double value : pose.rotation) digest.add(value);
+            for (double value : pose.translation) digest.add(value);
+        }
     return digest.value();
 }
 

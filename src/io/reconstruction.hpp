@@ -92,8 +92,9 @@ struct Reconstruction {
     std::shared_ptr<const SourceDetails> details;  // may be null
 };
 
-// Of cameras, images and points: what was read with them and follows from them (errors of points,
-// quaternions before they were normalised, poses of frames) is written as it was while this is.
+// Of cameras, images, points and rigs: what was read with them and follows from them (errors of
+// points, quaternions before they were normalised, poses of frames) is written as it was while this
+// is.
 uint64_t digest(const Problem& problem);
 
 // As problem/removal.hpp has it, with what is known of the rows: the features of removed

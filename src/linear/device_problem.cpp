@@ -4,6 +4,7 @@
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "linear/prior_terms.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 namespace {
@@ -27,6 +28,12 @@ void for_slots(int64_t num_slots, Visit&& visit) {
     });
 }
 
+VisibilityTiles make_tiles(const Problem& problem, const ParameterLayout& layout,
+                           const TileOptions& options) {
+    if (layout.composed.empty()) return VisibilityTiles(problem, layout, options);
+    return VisibilityTiles(problem, ParameterLayout::of_images(problem), options);
+}
+
 int32_t most_params(const Problem& problem) {
     int32_t most = 1;
     for (const Camera& camera : problem.cameras) most = std::max(most, camera.num_params());
@@ -40,65 +47,14 @@ void require_double(const Context& context) {
              "single does without");
 }
 
-// What the device did not move keeps the digits that it had no room for.
-void join(const float* parts, int64_t low, double& coordinate) {
-    float before[2];
-    split_position(coordinate, before, 1);
-    if (parts[0] != before[0] || parts[low] != before[1])
-        coordinate = static_cast<double>(parts[0]) + static_cast<double>(parts[low]);
-}
-void join(const double* parts, int64_t, double& coordinate) {
-    coordinate = parts[0];
-}
-
-void upload_pose(const Pose& pose, double* values) {
-    std::copy(pose.rotation.begin(), pose.rotation.end(), values);
-    std::copy(pose.translation.begin(), pose.translation.end(), values + 4);
-}
-void download_pose(const double* values, Pose& pose) {
-    std::copy_n(values, 4, pose.rotation.begin());
-    std::copy_n(values + 4, 3, pose.translation.begin());
-}
-
-void upload_pose(const Pose& pose, float* values) {
-    std::transform(pose.rotation.begin(), pose.rotation.end(), values,
-                   [](double x) { return static_cast<float>(x); });
-    const Point center = camera_center(pose);
-    for (int k = 0; k < 3; ++k) split_position(center[k], values + 4 + k, 3);
-}
-void download_pose(const float* values, Pose& pose) {
-    std::array<float, 10> before;
-    upload_pose(pose, before.data());
-    if (std::equal(before.begin(), before.end(), values)) return;
-    Point center = camera_center(pose);
-    for (int k = 0; k < 3; ++k) join(values + 4 + k, 3, center[k]);
-    if (!std::equal(values, values + 4, before.begin()))
-        pose.rotation = normalized({values[0], values[1], values[2], values[3]});
-    const auto r = rotation_matrix(pose.rotation);
-    for (int k = 0; k < 3; ++k)
-        pose.translation[k] =
-            -(r[3 * k] * center[0] + r[3 * k + 1] * center[1] + r[3 * k + 2] * center[2]);
-}
-
 }  // namespace
-
-void split_position(double coordinate, float* parts, int64_t low) {
-    // GCC 12's vectoriser (-O2) takes a conversion to float and back for none, unless it is
-    // volatile.
-    const volatile float high = static_cast<float>(coordinate);
-    parts[0] = high;
-    parts[low] = static_cast<float>(coordinate - static_cast<double>(high));
-}
-void split_position(double coordinate, double* parts, int64_t) {
-    parts[0] = coordinate;
-}
 
 DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& problem,
                              Precision precision)
     : queue_(context),
       precision_(precision),
       layout_(problem),
-      tiles_(problem, layout_, tile_options(*context, precision)),
+      tiles_(make_tiles(problem, layout_, tile_options(*context, precision))),
       vectors_(queue_, precision),
       num_observations_(problem.num_observations()),
       num_images_(problem.num_images()),
@@ -109,6 +65,7 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
         queue_.pass_floats();
     else
         require_double(*context);
+    if (!layout_.composed.empty()) rigs_ = std::make_unique<RigTangents>(*this, problem);
     upload_structure(problem);
     state = make_state();
     trial = make_state();
@@ -116,6 +73,10 @@ DeviceProblem::DeviceProblem(std::shared_ptr<Context> context, const Problem& pr
 }
 
 DeviceProblem::~DeviceProblem() = default;
+
+const ParameterLayout& DeviceProblem::image_layout() const {
+    return rigs_ ? rigs_->image_layout() : layout_;
+}
 
 const std::string& DeviceProblem::camera_model_path(int32_t model) {
     static const std::vector<std::string> paths = [] {
@@ -144,10 +105,10 @@ void DeviceProblem::upload_structure(const Problem& problem) {
     std::vector<int32_t> image_camera, image_intrinsics, camera_num_params;
     for (const Image& image : problem.images) {
         image_camera.push_back(image.camera);
-        image_intrinsics.push_back(layout_.intrinsics_offset[image.camera]);
+        image_intrinsics.push_back(image_layout().intrinsics_offset[image.camera]);
     }
     for (const Camera& camera : problem.cameras) camera_num_params.push_back(camera.num_params());
-    pose_offsets = Buffer(queue_, layout_.pose_offset, "pose offsets");
+    pose_offsets = Buffer(queue_, image_layout().pose_offset, "pose offsets");
     intrinsics_offsets = Buffer(queue_, image_intrinsics, "intrinsics offsets");
     scale_f = upload_wide(layout_.scale, "image-camera scales");
     image_camera_ = Buffer(queue_, image_camera, "cameras of images");
@@ -235,9 +196,9 @@ DeviceSegment DeviceProblem::upload_segment(const Segment& segment) {
 
     std::vector<int32_t> offset, size, matrix;
     for (int32_t block : segment.block) {
-        offset.push_back(layout_.blocks[block].offset);
-        size.push_back(layout_.blocks[block].size);
-        matrix.push_back(layout_.blocks[block].matrix);
+        offset.push_back(image_layout().blocks[block].offset);
+        size.push_back(image_layout().blocks[block].size);
+        matrix.push_back(image_layout().blocks[block].matrix);
     }
     device_segment.block_offset = Buffer(queue_, offset, "block offsets");
     device_segment.block_size = Buffer(queue_, size, "block sizes");
@@ -294,6 +255,7 @@ State DeviceProblem::make_state() {
                static_cast<uint64_t>(num_images_) * bytes *
                    static_cast<uint64_t>(9 + 3 * position_parts(precision_) + most_camera_params_),
                "image records");
+    if (rigs_) rigs_->add_buffers(made);
     return made;
 }
 
@@ -310,10 +272,15 @@ std::vector<Buffer> DeviceProblem::make_point_rows(int rows, size_t value_bytes,
     return buffers;
 }
 
+Buffer DeviceProblem::make_f(const ParameterLayout& layout, const std::string& label) {
+    Buffer f(queue_, static_cast<uint64_t>(layout.num_f) * wide_bytes(precision_), label);
+    f.fill_zero();
+    return f;
+}
+
 Vector DeviceProblem::make_reduced_vector(const std::string& label) {
     Vector vector;
-    vector.f = Buffer(queue_, static_cast<uint64_t>(layout_.num_f) * wide_bytes(precision_), label);
-    vector.f.fill_zero();
+    vector.f = make_f(layout_, label);
     return vector;
 }
 
@@ -347,6 +314,7 @@ void DeviceProblem::upload_state(const Problem& problem) {
             });
         }
     });
+    if (rigs_) rigs_->upload(problem, state);
 }
 
 void DeviceProblem::download_state(Problem& problem) const {
@@ -361,22 +329,25 @@ void DeviceProblem::download_state(Problem& problem) const {
             points[c].reset(new Rows(state.points[c].map_read<Wide>()));
 
         copy_images(poses.data(), params.data(), problem.images, problem.cameras);
+        take_frames_of_images(layout_.composed, problem);
+        if (rigs_) rigs_->download(state, problem);
         for (size_t c = 0; c < chunks_.size(); ++c) {
             const std::vector<int32_t>& slot_point = tiles_.chunks[c].slot_point;
             const auto n = static_cast<int64_t>(slot_point.size());
             for_slots(n, [&](int64_t slot) {
                 if (slot_point[slot] >= 0)
                     for (int k = 0; k < 3; ++k)
-                        join(&(*points[c])[k * n + slot], 3 * n,
-                             problem.points[slot_point[slot]][k]);
+                        join_position(&(*points[c])[k * n + slot], 3 * n,
+                                      problem.points[slot_point[slot]][k]);
             });
         }
     });
 }
 
 size_t DeviceProblem::num_state_values() const {
-    return static_cast<size_t>(num_images_) * static_cast<size_t>(pose_values()) +
-           static_cast<size_t>(num_cameras_) * static_cast<size_t>(most_camera_params_) +
+    uint64_t bytes = 0;
+    for_pose_buffers(state, [&](const Buffer& buffer) { bytes += buffer.bytes(); });
+    return static_cast<size_t>(bytes) / wide_bytes(precision_) +
            3 * static_cast<size_t>(position_parts(precision_)) * static_cast<size_t>(num_points_);
 }
 
@@ -384,10 +355,10 @@ std::vector<double> DeviceProblem::state_values() const {
     std::vector<double> values(num_state_values());
     double* next = values.data();
     for_wide([&](auto wide) {
-        for (const Buffer* buffer : {&state.poses, &state.camera_params}) {
-            const auto mapping = buffer->map_read<decltype(wide)>();
-            next = std::copy_n(mapping.data(), buffer->bytes() / sizeof wide, next);
-        }
+        for_pose_buffers(state, [&](const Buffer& buffer) {
+            const auto mapping = buffer.map_read<decltype(wide)>();
+            next = std::copy_n(mapping.data(), buffer.bytes() / sizeof wide, next);
+        });
     });
     read_points(state.points, 3 * position_parts(precision_), next);
     return values;
@@ -397,13 +368,13 @@ void DeviceProblem::set_state_values(const std::vector<double>& values) {
     const double* next = values.data();
     for_wide([&](auto wide) {
         using Wide = decltype(wide);
-        for (Buffer* buffer : {&state.poses, &state.camera_params}) {
-            const auto mapping = buffer->map_write<Wide>();
-            const size_t count = buffer->bytes() / sizeof wide;
+        for_pose_buffers(state, [&](Buffer& buffer) {
+            const auto mapping = buffer.map_write<Wide>();
+            const size_t count = buffer.bytes() / sizeof wide;
             std::transform(next, next + count, mapping.data(),
                            [](double value) { return static_cast<Wide>(value); });
             next += count;
-        }
+        });
     });
     write_points(next, 3 * position_parts(precision_), state.points);
 }
@@ -508,8 +479,9 @@ void DeviceProblem::update(const Vector& step) {
         queue_.launch(Step::vector, queue_.kernel("state.cl", name, defines()),
                       std::min<int64_t>(queue_.tuning().vector_groups, rows), arguments...);
     };
-    launch_rows("update_images", num_images_, num_images_, pose_offsets, step.f, state.poses,
-                trial.poses);
+    launch_rows("update_images", num_images_, num_images_,
+                rigs_ ? rigs_->step_offsets() : pose_offsets, step.f, state.poses, trial.poses);
+    if (rigs_) rigs_->move(step, state, trial);
     launch_rows("update_cameras", num_cameras_, num_cameras_, camera_offsets_, camera_num_params_,
                 step.f, state.camera_params, trial.camera_params);
     for (size_t c = 0; c < step.e.size(); ++c) {
@@ -522,6 +494,7 @@ void DeviceProblem::update_image_records(const State& of) {
     queue_.launch(Step::vector, queue_.kernel("state.cl", "image_records", defines()),
                   std::min<int64_t>(queue_.tuning().vector_groups, num_images_), num_images_,
                   of.poses, image_camera_, of.camera_params, of.image_records);
+    if (rigs_) rigs_->update_records(of);
 }
 
 }  // namespace clba

@@ -7,6 +7,7 @@
 
 #include "base/parallel.hpp"
 #include "device/queue.hpp"
+#include "linear/device_pose.hpp"
 #include "linear/precision.hpp"
 #include "linear/vector.hpp"
 #include "problem/parameter_layout.hpp"
@@ -43,7 +44,11 @@ struct State {
     Buffer poses, camera_params;
     std::vector<Buffer> points;
     Buffer image_records;  // what kernels over observations read of poses and cameras (state.cl)
+    Buffer frames, sensors, sensor_records;  // of rigs alone (rig_tangents.hpp)
     void swap(State& other) noexcept {
+        frames.swap(other.frames);
+        sensors.swap(other.sensors);
+        sensor_records.swap(other.sensor_records);
         image_records.swap(other.image_records);
         poses.swap(other.poses);
         camera_params.swap(other.camera_params);
@@ -52,10 +57,7 @@ struct State {
 };
 
 class PriorTerms;
-
-// A coordinate and its parts, `low` apart, in single precision (kernels/positions.clh).
-void split_position(double coordinate, float* parts, int64_t low);
-void split_position(double coordinate, double* parts, int64_t low);
+class RigTangents;
 
 // A problem on a device: its structure in tiles, its measurements and two states. Everything that
 // is laid out on the device is translated to and from the caller's order here.
@@ -67,6 +69,9 @@ public:
     Queue& queue() { return queue_; }
     Precision precision() const { return precision_; }
     const ParameterLayout& layout() const { return layout_; }
+    RigTangents* rigs() const { return rigs_.get(); }  // NULL: no image's pose is composed
+    // That of the F vectors that kernels over observations have: as if there were no rigs.
+    const ParameterLayout& image_layout() const;
     VectorOperations& vectors() { return vectors_; }
     int64_t num_observations() const { return num_observations_; }
     int32_t num_points() const { return num_points_; }
@@ -79,7 +84,7 @@ public:
     std::vector<double> state_values() const;
     size_t num_state_values() const;
     void set_state_values(const std::vector<double>& values);
-    // Poses and the parameters of cameras, of a state.
+    // Poses of images and the parameters of cameras, of a state.
     void download_images(const State& from, std::vector<Image>& images,
                          std::vector<Camera>& cameras) const;
     // trial = state moved by step; points only where step has an E side.
@@ -118,6 +123,7 @@ public:
     // Vectors: zero-filled, and between the caller's order (F scalars, then 3 a point) and ours.
     Vector make_vector(const std::string& label);          // F and E
     Vector make_reduced_vector(const std::string& label);  // F alone
+    Buffer make_f(const ParameterLayout& layout, const std::string& label);
     std::vector<Buffer> make_point_rows(int rows, size_t value_bytes, const std::string& label);
     // One buffer a segment, in the order of chunks and their segments: rows_of(its camera model)
     // rows over its slots, run by run.
@@ -144,8 +150,8 @@ public:
     size_t num_segments() const;
 
     // Buffers of the F side.
-    Buffer pose_offsets;                             // of each image in an F vector
-    Buffer intrinsics_offsets;                       // of each image's camera
+    Buffer pose_offsets;                             // of each image in an F vector of images
+    Buffer intrinsics_offsets;                       // of each image's camera, likewise
     Buffer scale_f;                                  // ParameterLayout::scale
     Buffer block_offset, block_size, matrix_offset;  // of ParameterLayout::blocks
     int32_t num_blocks() const { return static_cast<int32_t>(layout_.blocks.size()); }
@@ -153,6 +159,7 @@ public:
         return static_cast<uint64_t>(layout_.num_matrix_values) * wide_bytes(precision_);
     }
     int32_t num_images() const { return num_images_; }
+    int pose_values() const { return 4 + 3 * position_parts(precision_); }
     int32_t most_camera_params() const { return most_camera_params_; }  // of any camera
     // Of programs that use cameras: how many parameters each has room for, and the precision.
     std::string defines() const;
@@ -169,10 +176,15 @@ private:
     void upload_point_scales(const Problem& problem, const Chunk& chunk, DeviceChunk& device_chunk);
     void upload_all_measurements(const Problem& problem);
     State make_state();
+    // Those of the state's values that are in no order of points.
+    template <class State, class Visit>
+    static void for_pose_buffers(State& of, Visit&& visit) {
+        for (auto* buffer : {&of.poses, &of.camera_params, &of.frames, &of.sensors})
+            if (*buffer) visit(*buffer);
+    }
     template <class Wide>
     void copy_images(const Wide* poses, const Wide* params, std::vector<Image>& images,
                      std::vector<Camera>& cameras) const;
-    int pose_values() const { return 4 + 3 * position_parts(precision_); }
     template <class Visit>
     void for_wide(Visit&& visit) const {
         with_wide(precision_, visit);
@@ -187,6 +199,7 @@ private:
     int32_t num_images_ = 0, num_cameras_ = 0, num_points_ = 0, most_camera_params_ = 0;
     std::vector<DeviceChunk> chunks_;
     Buffer image_camera_, camera_num_params_, camera_offsets_;
+    std::unique_ptr<RigTangents> rigs_;
     std::unique_ptr<PriorTerms> priors_;
 };
 

@@ -3,6 +3,7 @@
 
 #include "base/stopwatch.hpp"
 #include "linear/prior_terms.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 namespace {
@@ -58,6 +59,7 @@ void zero_constant_columns(const Problem& problem, const ParameterLayout& layout
         for (int row = 0; row < 2; ++row) {
             double* image_row = jacobian.image_blocks.data() + (2 * i + row) * width;
             for (int k = 0; k < num_columns; ++k) {
+                if (k < num_pose_params && layout.is_composed(image)) continue;
                 const int32_t scalar = k < num_pose_params
                                            ? layout.pose_offset[image] + k
                                            : layout.intrinsics_offset[camera] + k - num_pose_params;
@@ -88,6 +90,8 @@ LinearSolution DirectSolver::solve(double lambda, const StopTest& stop) {
     DeviceProblem& device = equations_.problem();
     download_jacobian(device, equations_.jacobian, jacobian_);
     zero_constant_columns(problem_, device.layout(), jacobian_);
+    if (const RigTangents* rigs = device.rigs())
+        jacobian_.sensors = rigs->download_sensors(device.state, problem_.rigs.sensors);
     equations_.get_gradient(device_gradient_);
     device.download(device_gradient_, gradient_.data());
     equations_.get_damping(device_step_);

@@ -31,7 +31,7 @@ void download_jacobian(const DeviceProblem& problem, Jacobian& device_jacobian,
                        reference::Jacobian& jacobian);
 // Lists of a Jacobian for the problem's observations, with its blocks 0.
 reference::Jacobian empty_jacobian(const Problem& problem, const ParameterLayout& layout);
-// Sets the columns of constant parameters to 0.
+// Sets the columns of constant parameters to 0, but for the poses of images that are composed.
 void zero_constant_columns(const Problem& problem, const ParameterLayout& layout,
                            reference::Jacobian& jacobian);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "linear/explicit_schur.hpp"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -11,6 +12,7 @@
 #include "base/stopwatch.hpp"
 #include "linear/prior_terms.hpp"
 #include "linear/reduced_system.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 namespace {
@@ -54,7 +56,9 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
       block_offset_(block_offsets(problem, structure_)),
       pattern_(schur_pattern(problem, equations.problem().layout(), structure_)),
       cholesky_(pattern_, num_workers()),
-      has_shared_cameras_(equations.problem().layout().num_shared_cameras > 0) {
+      has_shared_cameras_(equations.problem().layout().num_shared_cameras > 0 ||
+                          equations.problem().rigs() != nullptr),
+      sensors_(problem.rigs.sensors) {
     DeviceProblem& device = equations.problem();
     Queue& queue = device.queue();
     const ParameterLayout& layout = device.layout();
@@ -100,27 +104,24 @@ ExplicitSchur::ExplicitSchur(const Problem& problem, NormalEquations& equations,
 }
 
 // Where an image has its camera to itself its block of S is the block of its pairs; else pose and
-// intrinsics are parts of two.
+// intrinsics are parts of two, and the pose of an image in a rig is part of its frame's and its
+// sensor's.
 void ExplicitSchur::list_targets(const Problem& problem, const BlockPattern& pattern) {
     const ParameterLayout& layout = equations_.problem().layout();
-    std::vector<int32_t> shared_block(problem.cameras.size(), -1);
-    for (int32_t b = 0; b < pattern.num_blocks(); ++b)
-        if (layout.blocks[b].image < 0) shared_block[layout.blocks[b].camera] = b;
-    struct Part {
-        int32_t block, first, size;
-    };
     const auto parts_of = [&](int32_t image) {
-        const int32_t shared = shared_block[problem.images[image].camera];
-        const int32_t columns = num_columns(problem, image);
-        std::vector<Part> parts = {{image, 0, shared < 0 ? columns : num_pose_params}};
-        if (shared >= 0) parts.push_back({shared, num_pose_params, columns - num_pose_params});
+        std::vector<ImagePart> parts(ParameterLayout::max_image_parts);
+        parts.resize(static_cast<size_t>(
+            layout.parts_of(image, problem.images[image].camera, parts.data())));
         return parts;
+    };
+    const auto sensor_of = [&](int32_t image, const ImagePart& part) {
+        return part.is_of_frame ? layout.image_sensor[image] : -1;
     };
     for (int32_t i = 0; i < problem.num_images(); ++i) {
         for (int64_t k = structure_.row_begin[i]; k < structure_.row_begin[i + 1]; ++k) {
             const int32_t j = structure_.columns[k], stride = num_columns(problem, j);
-            for (const Part& a : parts_of(i)) {
-                for (const Part& b : parts_of(j)) {
+            for (const ImagePart& a : parts_of(i)) {
+                for (const ImagePart& b : parts_of(j)) {
                     // A block of an image with itself has its upper triangle in its lower one.
                     if (i == j && a.block < b.block) continue;
                     const int32_t row = std::max(a.block, b.block);
@@ -128,9 +129,10 @@ void ExplicitSchur::list_targets(const Problem& problem, const BlockPattern& pat
                     const auto end = pattern.columns.begin() + pattern.row_begin[row + 1];
                     const auto entry = std::lower_bound(begin, end, std::min(a.block, b.block)) -
                                        pattern.columns.begin();
-                    targets_.push_back({block_offset_[k] + int64_t{a.first} * stride + b.first,
-                                        cholesky_.value_offset(entry), stride, a.size, b.size,
-                                        a.block < b.block, i != j && a.block == b.block});
+                    targets_.push_back(
+                        {block_offset_[k] + int64_t{a.first_column} * stride + b.first_column,
+                         cholesky_.value_offset(entry), stride, a.size, b.size, a.block < b.block,
+                         i != j && a.block == b.block, sensor_of(i, a), sensor_of(j, b)});
                 }
             }
         }
@@ -221,9 +223,48 @@ void ExplicitSchur::finish_values(double lambda, double* values) {
     if (!is_constant_.empty()) leave_out(is_constant_, values);
 }
 
+template <class Wide>
+void ExplicitSchur::add_targets(const Wide* blocks) {
+    using Tangent = Eigen::Matrix<double, num_pose_params, num_pose_params, Eigen::RowMajor>;
+    std::vector<Tangent> tangents;
+    for (const Pose& sensor : sensors_)
+        tangents.push_back(Eigen::Map<const Tangent>(frame_tangent(sensor).data()));
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> part;
+    std::fill(values_.begin(), values_.end(), 0.0);
+    for (const Target& target : targets_) {
+        const Wide* from = blocks + target.source;
+        double* to = values_.data() + target.value;
+        const int32_t stride = target.is_transposed ? target.rows : target.columns;
+        const auto add = [&](auto&& value_at) {
+            for (int32_t r = 0; r < target.rows; ++r) {
+                for (int32_t c = 0; c < target.columns; ++c) {
+                    const double value = value_at(r, c);
+                    to[target.is_transposed ? c * stride + r : r * stride + c] += value;
+                    if (target.is_added_both_ways) to[c * stride + r] += value;
+                }
+            }
+        };
+        const auto source = [&](int32_t r, int32_t c) {
+            return static_cast<double>(from[r * target.source_stride + c]);
+        };
+        if (target.row_sensor < 0 && target.column_sensor < 0) {
+            add(source);
+            continue;
+        }
+        part.resize(target.rows, target.columns);
+        for (int32_t r = 0; r < target.rows; ++r)
+            for (int32_t c = 0; c < target.columns; ++c) part(r, c) = source(r, c);
+        if (target.row_sensor >= 0) part = (tangents[target.row_sensor].transpose() * part).eval();
+        if (target.column_sensor >= 0) part = (part * tangents[target.column_sensor]).eval();
+        add([&](int32_t r, int32_t c) { return part(r, c); });
+    }
+}
+
 void ExplicitSchur::use_values(double lambda, const std::function<void(double*)>& use) {
     DeviceProblem& device = equations_.problem();
     device.read_wide(equations_.damping().f, damping_, damping_.size());
+    if (const RigTangents* rigs = device.rigs())
+        sensors_ = rigs->download_sensors(device.state, sensors_);
     if (is_in_place()) {
         const auto blocks = blocks_.map_update<double>();
         finish_values(lambda, blocks.data());
@@ -235,19 +276,7 @@ void ExplicitSchur::use_values(double lambda, const std::function<void(double*)>
             std::copy_n(blocks.data(), values_.size(), values_.begin());
             return;
         }
-        std::fill(values_.begin(), values_.end(), 0.0);
-        for (const Target& target : targets_) {
-            const auto* from = blocks.data() + target.source;
-            double* to = values_.data() + target.value;
-            const int32_t stride = target.is_transposed ? target.rows : target.columns;
-            for (int32_t r = 0; r < target.rows; ++r) {
-                for (int32_t c = 0; c < target.columns; ++c) {
-                    const double value = from[r * target.source_stride + c];
-                    to[target.is_transposed ? c * stride + r : r * stride + c] += value;
-                    if (target.is_added_both_ways) to[c * stride + r] += value;
-                }
-            }
-        }
+        add_targets(blocks.data());
     });
     finish_values(lambda, values_.data());
     use(values_.data());

@@ -37,15 +37,20 @@ public:
     BlockCholesky<double>& cholesky() { return cholesky_; }
 
 private:
-    // Part of a block of pairs that goes to a block of S.
+    // Part P of a block of pairs that goes to a block of S.
     struct Target {
         int64_t source, value;  // first numbers, in blocks_ and in values_
         int32_t source_stride, rows, columns;
         bool is_transposed;
         bool is_added_both_ways;  // P + P^T
+        // Of rows and columns that are those of an image and are to be those of its frame (the part
+        // is A^T P A of frame_tangent); -1: they stay.
+        int32_t row_sensor, column_sensor;
     };
 
     void list_targets(const Problem& problem, const BlockPattern& pattern);
+    template <class Wide>
+    void add_targets(const Wide* blocks);
     void list_prior_targets();
     void finish_values(double lambda, double* values);
 
@@ -54,13 +59,14 @@ private:
     std::vector<int64_t> block_offset_;  // of the blocks of pairs
     BlockPattern pattern_;
     BlockCholesky<double> cholesky_;
-    bool has_shared_cameras_;
+    bool has_shared_cameras_;    // or rigs
+    std::vector<Pose> sensors_;  // of rigs
     // Whether the blocks are factored where the device left them, else as values_.
     bool is_in_place() const {
         return !has_shared_cameras_ && equations_.problem().precision() != Precision::single;
     }
     std::vector<char> is_constant_;  // of each scalar; empty if none is
-    std::vector<Target> targets_;    // only if there are shared cameras
+    std::vector<Target> targets_;    // only if there are shared cameras or rigs
     std::vector<double> values_;     // of S, likewise
     struct PriorTarget {
         int64_t value;   // of S

@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "base/error.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 namespace {
@@ -114,16 +115,30 @@ std::vector<Buffer> Jacobian::blocks() {
     return blocks;
 }
 
+// An F vector of parameters as kernels over observations read it.
+const Buffer& Jacobian::of_images(const Buffer& f) {
+    return problem_.rigs() ? problem_.rigs()->expand(f) : f;
+}
+
+// f += what add(sums) adds to an F vector of images.
+template <class Add>
+void Jacobian::add_of_images(Buffer& f, Add&& add) {
+    RigTangents* const rigs = problem_.rigs();
+    add(rigs ? rigs->zeroed_image_vector() : f);
+    if (rigs) rigs->gather(f);
+}
+
 void Jacobian::multiply(const Vector& x) {
+    const Buffer& f = of_images(x.f);
     for (size_t c = 0; c < point_real_.size(); ++c)
         problem_.vectors().to_real(x.e[c], point_real_[c]);
     product();
-    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
-                         size_t i) {
-        problem_.launch(Step::jx, "products.cl", "jx", defines(i), chunk, segment,
-                        problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.state.image_records, rows_[i], x.f, point_real_[c], product_[i]);
-    });
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            problem_.launch(Step::jx, "products.cl", "jx", defines(i), chunk, segment,
+                            problem_.pose_offsets, problem_.intrinsics_offsets,
+                            problem_.state.image_records, rows_[i], f, point_real_[c], product_[i]);
+        });
 }
 
 double Jacobian::squared_norm(const Vector& x) {
@@ -134,33 +149,33 @@ double Jacobian::squared_norm(const Vector& x) {
 void Jacobian::add_transposed(Vector& x) {
     for (Buffer& e : point_real_) e.fill_zero();
     product();
-    for_each_segment(
-        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
-            problem_.launch(Step::jty, "products.cl", "jty", defines(i), chunk, segment,
-                            problem_.state.image_records, rows_[i], product_[i], point_real_[c],
-                            run_sums_, queue_.scratch());
-            reduce_runs(Step::jty, i, x.f);
-        });
+    add_of_images(x.f, [&](Buffer& f) {
+        for_each_segment(
+            [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+                problem_.launch(Step::jty, "products.cl", "jty", defines(i), chunk, segment,
+                                problem_.state.image_records, rows_[i], product_[i], point_real_[c],
+                                run_sums_, queue_.scratch());
+                reduce_runs(Step::jty, i, f);
+            });
+    });
     for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().add_real(point_real_[c], x.e[c]);
 }
 
-// launch(stages, chunk, segment, c, i): all stages at once where a chunk has one segment; else the
-// stages before backward_stage see all segments first.
+// launch(stages, chunk, segment, c, i). The points of a chunk must have seen all of its segments
+// before any goes through backward_stage: the last segment does all stages at once, the others go
+// before it and again after it.
 template <class Launch>
 void Jacobian::launch_in_stages(Launch&& launch) {
     size_t first = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
         const size_t n = chunk.segments.size();
-        if (n == 1) {
-            launch(all_stages, chunk, chunk.segments[0], c, first);
-        } else if (n > 1) {
-            for (size_t s = 0; s < n; ++s)
-                launch((s == 0 ? zero_stage : 0) | forward_stage | (s == n - 1 ? points_stage : 0),
-                       chunk, chunk.segments[s], c, first + s);
-            for (size_t s = 0; s < n; ++s)
-                launch(backward_stage, chunk, chunk.segments[s], c, first + s);
-        }
+        for (size_t s = 0; s < n; ++s)
+            launch((s == 0 ? zero_stage : 0) | forward_stage |
+                       (s == n - 1 ? points_stage | backward_stage : 0),
+                   chunk, chunk.segments[s], c, first + s);
+        for (size_t s = 0; s + 1 < n; ++s)
+            launch(backward_stage, chunk, chunk.segments[s], c, first + s);
         first += n;
     }
 }
@@ -168,15 +183,18 @@ void Jacobian::launch_in_stages(Launch&& launch) {
 // `stages` leaves out the others of all_stages.
 void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffer>& point_factors,
                             Vector& y) {
-    launch_in_stages([&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment,
-                         size_t c, size_t i) {
-        const int wanted = stages & of_segment;
-        if (wanted == 0) return;
-        problem_.launch(Step::schur, "products.cl", "schur_product", defines(i), chunk, segment,
-                        wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.state.image_records, rows_[i], x.f, point_factors[c],
-                        point_real_[c], run_sums_, queue_.scratch());
-        if (wanted & backward_stage) reduce_runs(Step::schur, i, y.f);
+    const Buffer& of_x = of_images(x.f);
+    add_of_images(y.f, [&](Buffer& f) {
+        launch_in_stages([&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment,
+                             size_t c, size_t i) {
+            const int wanted = stages & of_segment;
+            if (wanted == 0) return;
+            problem_.launch(Step::schur, "products.cl", "schur_product", defines(i), chunk, segment,
+                            wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
+                            problem_.state.image_records, rows_[i], of_x, point_factors[c],
+                            point_real_[c], run_sums_, queue_.scratch());
+            if (wanted & backward_stage) reduce_runs(Step::schur, i, f);
+        });
     });
 }
 
@@ -196,11 +214,12 @@ BackSubstitution Jacobian::back_substitute(const Vector& step,
                                            const std::vector<Buffer>& point_gradient,
                                            const std::vector<Buffer>& point_factors) {
     int32_t num_tiles = 0;
+    const Buffer& of_step = of_images(step.f);
     launch_in_stages([&](int stages, const DeviceChunk& chunk, const DeviceSegment& segment,
                          size_t c, size_t i) {
         problem_.launch(Step::schur, "products.cl", "back_substitute", defines(i), chunk, segment,
                         stages, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.state.image_records, rows_[i], step.f, point_factors[c],
+                        problem_.state.image_records, rows_[i], of_step, point_factors[c],
                         point_gradient[c], problem_.state.points[c], point_real_[c],
                         problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
         // A later stage of the same segment takes up where an earlier one left the points.
@@ -218,18 +237,22 @@ BackSubstitution Jacobian::back_substitute(const Vector& step,
 }
 
 void Jacobian::sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer& matrices) {
-    matrices.fill_zero();
-    for_each_segment([&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
-                         size_t i) {
-        const Buffer* factors = point_factors ? &(*point_factors)[c] : nullptr;
-        problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(i), chunk,
-                        segment, problem_.state.image_records, rows_[i], factors, run_sums_,
-                        queue_.scratch());
-        queue_.launch(Step::preconditioner,
-                      queue_.kernel("reduce.cl", "reduce_run_blocks", programs_[i].run_blocks),
-                      segment.num_blocks, segment.block_size, segment.block_column,
-                      segment.block_runs, segment.runs, segment.matrix_offset, run_sums_, matrices);
-    });
+    RigTangents* const rigs = problem_.rigs();
+    Buffer& of_images = rigs ? rigs->image_matrices() : matrices;
+    of_images.fill_zero();
+    for_each_segment(
+        [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+            const Buffer* factors = point_factors ? &(*point_factors)[c] : nullptr;
+            problem_.launch(Step::preconditioner, "blocks.cl", "image_blocks", defines(i), chunk,
+                            segment, problem_.state.image_records, rows_[i], factors, run_sums_,
+                            queue_.scratch());
+            queue_.launch(Step::preconditioner,
+                          queue_.kernel("reduce.cl", "reduce_run_blocks", programs_[i].run_blocks),
+                          segment.num_blocks, segment.block_size, segment.block_column,
+                          segment.block_runs, segment.runs, segment.matrix_offset, run_sums_,
+                          of_images);
+        });
+    if (rigs) rigs->transform_blocks(matrices);
 }
 
 void Jacobian::image_blocks(Buffer& u) {

@@ -19,7 +19,8 @@ struct BackSubstitution {
     double squared_point_steps = 0;  // |step of the points|^2
 };
 
-// The Jacobian J = [J_F, J_E] of the current state on the device, and its products.
+// The Jacobian J = [J_F, J_E] of the current state on the device, and its products. With rigs J_F
+// is that of images times T (rig_tangents.hpp), and rows() are those of images.
 class Jacobian {
 public:
     Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss);
@@ -75,6 +76,9 @@ public:
 private:
     template <class Visit>
     void for_each_segment(Visit&& visit);
+    const Buffer& of_images(const Buffer& f);
+    template <class Add>
+    void add_of_images(Buffer& f, Add&& add);
     template <class Launch>
     void launch_in_stages(Launch&& launch);
     void schur_stages(int stages, const Vector& x, const std::vector<Buffer>& point_factors,

@@ -6,6 +6,7 @@
 
 #include "base/error.hpp"
 #include "linear/prior_terms.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 
@@ -47,6 +48,12 @@ Kernel& NormalEquations::kernel(const char* name) {
 
 int64_t NormalEquations::num_groups(int64_t n) const {
     return std::min<int64_t>(queue_.tuning().vector_groups, n);
+}
+
+void NormalEquations::take_diagonal_of_blocks() {
+    if (!u_) u_ = Buffer(queue_, problem_.matrices_bytes(), "image blocks");
+    jacobian.image_blocks(u_);
+    problem_.rigs()->get_diagonal(u_, diagonal.f);
 }
 
 void NormalEquations::update_damping() {

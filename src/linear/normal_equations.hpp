@@ -34,6 +34,9 @@ public:
     std::vector<Buffer> point_roots;  // L of V = L L^T: 6 rows of REAL a chunk
     Buffer tile_max;                  // of |point_gradient|, tile by tile of all chunks
 
+    // With rigs: the diagonal from that of parameters' blocks, which needs the Jacobian.
+    void take_diagonal_of_blocks();
+
     // Damping of the F side. To be called after each linearisation.
     void update_damping();
 

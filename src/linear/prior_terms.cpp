@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "linear/rig_tangents.hpp"
+
 namespace clba {
 
 PriorTerms::PriorTerms(DeviceProblem& device, const Problem& problem)
@@ -14,6 +16,7 @@ PriorTerms::PriorTerms(DeviceProblem& device, const Problem& problem)
       image_priors_(problem, device.layout()),
       images_(problem.images),
       cameras_(problem.cameras),
+      sensors_(problem.rigs.sensors.size()),
       step_(static_cast<size_t>(device.layout().num_f)) {
     rows_ = Buffer(queue_, image_priors_.rows(), "priors");
     row_begin_ = Buffer(queue_, image_priors_.row_begin(), "priors");
@@ -142,7 +145,9 @@ void PriorTerms::linearize(Vector& gradient, Vector& diagonal) {
     if (image_priors_.rows().empty()) return;
     read_state(device_.state);
     std::vector<double> of_priors;
-    image_priors_.linearize(images_, cameras_, of_priors, values_);
+    if (const RigTangents* rigs = device_.rigs())
+        sensors_ = rigs->download_sensors(device_.state, std::vector<Pose>(sensors_.size()));
+    image_priors_.linearize(images_, cameras_, sensors_, of_priors, values_);
     device_.write_wide(values_, device_values_);
     device_.write_wide(of_priors, sum_.f);
     device_.vectors().scale_and_add(1.0, sum_, 1.0, gradient);

@@ -58,6 +58,7 @@ private:
     reference::ImagePriors image_priors_;
     std::vector<Image> images_;  // as read_state leaves them
     std::vector<Camera> cameras_;
+    std::vector<Pose> sensors_;
     std::vector<double> values_, step_, partials_;
     Buffer rows_, row_begin_, columns_, device_values_;
     Buffer block_targets_, block_sources_;  // in packed triangles, in the values of P

@@ -205,30 +205,20 @@ BlockPattern schur_pattern(const Problem& problem, const ParameterLayout& layout
                            const SchurStructure& structure) {
     const auto num_blocks = static_cast<int32_t>(layout.blocks.size());
     BlockPattern pattern;
-    std::vector<int32_t> block_of_image(problem.images.size(), -1);
-    std::vector<int32_t> shared_block(problem.cameras.size(), -1);
-    for (int32_t b = 0; b < num_blocks; ++b) {
-        const ParameterBlock& block = layout.blocks[b];
-        pattern.block_size.push_back(block.size);
-        if (block.image >= 0)
-            block_of_image[block.image] = b;
-        else
-            shared_block[block.camera] = b;
-    }
+    for (const ParameterBlock& block : layout.blocks) pattern.block_size.push_back(block.size);
     std::vector<std::vector<int32_t>> rows(static_cast<size_t>(num_blocks));
     for (int32_t b = 0; b < num_blocks; ++b) rows[b].push_back(b);
-    const auto add = [&](int32_t a, int32_t b) {
-        if (a >= 0 && b >= 0 && a != b) rows[std::max(a, b)].push_back(std::min(a, b));
-    };
+    ImagePart of_i[ParameterLayout::max_image_parts], of_j[ParameterLayout::max_image_parts];
     for (int32_t i = 0; i < problem.num_images(); ++i) {
-        const int32_t camera = shared_block[problem.images[i].camera];
+        const int num_of_i = layout.parts_of(i, problem.images[i].camera, of_i);
         for (int64_t k = structure.row_begin[i]; k < structure.row_begin[i + 1]; ++k) {
             const int32_t j = structure.columns[k];
-            const int32_t other_camera = shared_block[problem.images[j].camera];
-            add(block_of_image[i], block_of_image[j]);
-            add(block_of_image[i], other_camera);
-            add(camera, block_of_image[j]);
-            add(camera, other_camera);
+            const int num_of_j = layout.parts_of(j, problem.images[j].camera, of_j);
+            for (int a = 0; a < num_of_i; ++a)
+                for (int b = 0; b < num_of_j; ++b)
+                    if (of_i[a].block != of_j[b].block)
+                        rows[std::max(of_i[a].block, of_j[b].block)].push_back(
+                            std::min(of_i[a].block, of_j[b].block));
         }
     }
     pattern.row_begin.push_back(0);

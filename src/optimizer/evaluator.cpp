@@ -3,6 +3,7 @@
 
 #include "base/error.hpp"
 #include "linear/prior_terms.hpp"
+#include "linear/rig_tangents.hpp"
 
 namespace clba {
 namespace {
@@ -83,6 +84,8 @@ void Evaluator::linearize(NormalEquations& equations) {
     problem_.update_image_records(problem_.state);
     equations.gradient.fill_zero();
     equations.diagonal.fill_zero();
+    RigTangents* const rigs = problem_.rigs();
+    Buffer& gradient = rigs ? rigs->zeroed_image_vector() : equations.gradient.f;
     size_t index = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
@@ -102,10 +105,14 @@ void Evaluator::linearize(NormalEquations& equations) {
                 points ? points->num_priors : 0, points ? &points->prior_of_slot : nullptr,
                 points ? &points->values : nullptr, chunk.first_tile, equations.tile_max,
                 queue_.scratch());
-            jacobian.reduce_wide_runs(index, false, equations.gradient.f);
-            jacobian.reduce_wide_runs(index, true, equations.diagonal.f);
+            jacobian.reduce_wide_runs(index, false, gradient);
+            if (!rigs) jacobian.reduce_wide_runs(index, true, equations.diagonal.f);
             ++index;
         }
+    }
+    if (rigs) {
+        rigs->gather(equations.gradient.f);
+        equations.take_diagonal_of_blocks();
     }
     problem_.vectors().mask_constants(problem_.scale_f, equations.gradient.f);
     if (priors) priors->linearize(equations.gradient, equations.diagonal);

@@ -87,6 +87,12 @@ uint64_t fingerprint(const Problem& problem) {
     add_numbers(problem.camera_uncertainties, hash);
     add_numbers(problem.point_uncertainties, hash);
     add_priors(problem.priors, hash);
+    if (!problem.rigs.empty()) {  // so that problems without keep the number they had
+        for (size_t i = 0; i < problem.images.size(); ++i)
+            hash.add(word(problem.rigs.image_frame[i], problem.rigs.image_sensor[i]));
+        add_flags(problem.rigs.constant_frames, hash);
+        add_flags(problem.rigs.constant_sensors, hash);
+    }
     hash.add(word(0, static_cast<int32_t>(problem.loss.kind)));
     hash.add(problem.loss.scale);
     return hash.value();

@@ -14,6 +14,19 @@ Point camera_center(const Pose& pose) {
     return center;
 }
 
+Pose product(const Pose& a, const Pose& b) {
+    const auto r = rotation_matrix(a.rotation);
+    Pose made{quaternion_product(a.rotation, b.rotation), a.translation};
+    for (size_t i = 0; i < 3; ++i)
+        for (size_t k = 0; k < 3; ++k) made.translation[i] += r[3 * i + k] * b.translation[k];
+    return made;
+}
+
+Pose inverse(const Pose& pose) {
+    const auto& q = pose.rotation;
+    return {{q[0], -q[1], -q[2], -q[3]}, camera_center(pose)};
+}
+
 std::array<double, 9> rotation_matrix(const std::array<double, 4>& q) {
     const double w = q[0], x = q[1], y = q[2], z = q[3];
     return {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),

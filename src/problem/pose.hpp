@@ -12,7 +12,9 @@ struct Pose {
     std::array<double, 3> translation{0, 0, 0};
 };
 
-Point camera_center(const Pose& pose);  // -R^T t
+Point camera_center(const Pose& pose);       // -R^T t
+Pose product(const Pose& a, const Pose& b);  // a after b
+Pose inverse(const Pose& pose);
 
 // Row-major 3x3 rotation of a unit quaternion.
 std::array<double, 9> rotation_matrix(const std::array<double, 4>& quaternion);

@@ -33,6 +33,11 @@ void require_positive(const std::vector<Values>& rows, const char* name) {
 
 }  // namespace
 
+uint8_t Problem::constants_of_image(int32_t image) const {
+    if (rigs.has(image)) return rigs.constant_frames[rigs.image_frame[image]];
+    return constant_images.empty() ? uint8_t{0} : constant_images[image];
+}
+
 void Problem::validate() const {
     for (size_t i = 0; i < cameras.size(); ++i) {
         const Camera& camera = cameras[i];
@@ -97,6 +102,7 @@ void Problem::validate() const {
     for (size_t i = 0; i < priors.relative_poses.size(); ++i)
         for (int32_t image : {priors.relative_poses[i].first, priors.relative_poses[i].second})
             require_index(image, num_images(), "priors.relative_poses", i, "image");
+    require_valid(rigs, *this);
     require(std::isfinite(loss.scale) && loss.scale > 0, "loss scale = ", loss.scale,
             ", but it must be finite and > 0");
 }

@@ -9,6 +9,7 @@
 #include "problem/loss.hpp"
 #include "problem/pose.hpp"
 #include "problem/priors.hpp"
+#include "problem/rigs.hpp"
 
 namespace clba {
 
@@ -56,10 +57,16 @@ struct Problem {
 
     Priors priors;
 
+    // Constants and uncertainties of the poses of their images are those of frames and sensors.
+    Rigs rigs;
+
     int32_t num_images() const { return static_cast<int32_t>(images.size()); }
     int32_t num_cameras() const { return static_cast<int32_t>(cameras.size()); }
     int32_t num_points() const { return static_cast<int32_t>(points.size()); }
     int64_t num_observations() const { return static_cast<int64_t>(observations.size()); }
+
+    // ConstantPose bits of the pose that an image has to itself: its own, or its frame's.
+    uint8_t constants_of_image(int32_t image) const;
 
     // Throws an invalid_argument error that names the first offending row, value and rule: values
     // finite, indices in range, quaternions of unit length (to 1e-6).

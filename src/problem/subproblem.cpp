@@ -10,6 +10,7 @@ namespace clba {
 namespace {
 
 constexpr uint32_t all_params = std::numeric_limits<uint32_t>::max();
+constexpr uint8_t all_of_pose = constant_rotation | constant_position;
 
 void make_unique(std::vector<int32_t>& rows) {
     std::sort(rows.begin(), rows.end());
@@ -81,6 +82,66 @@ Priors selected_priors(const Priors& priors, const RowSelection& rows) {
     return some;
 }
 
+// Frames and sensors that images were selected of.
+Rigs selected_rigs(const Rigs& rigs, const std::vector<int32_t>& frames,
+                   const std::vector<int32_t>& sensors, const std::vector<int32_t>& images) {
+    Rigs some;
+    if (frames.empty()) return some;
+    some.frames = selected(rigs.frames, frames);
+    some.sensors = selected(rigs.sensors, sensors);
+    some.constant_frames = selected(rigs.constant_frames, frames);
+    some.constant_sensors = selected(rigs.constant_sensors, sensors);
+    for (const int32_t image : images) {
+        const bool has_rig = rigs.has(image);
+        some.image_frame.push_back(has_rig ? place_of(frames, rigs.image_frame[image]) : -1);
+        some.image_sensor.push_back(has_rig ? place_of(sensors, rigs.image_sensor[image]) : -1);
+    }
+    return some;
+}
+
+// With the other images of their frames, ascending.
+std::vector<int32_t> with_their_frames(const Rigs& rigs, const ObservationIndex& index,
+                                       std::vector<int32_t> images) {
+    if (rigs.empty()) return images;
+    const size_t num_named = images.size();
+    for (size_t k = 0; k < num_named; ++k)
+        if (rigs.has(images[k]))
+            index.for_each_of_frame(rigs.image_frame[images[k]],
+                                    [&](int32_t i) { images.push_back(i); });
+    make_unique(images);
+    return images;
+}
+
+// Holds the sensors that no image of the window uses or, unless they are to be refined, others use
+// too. `part`: the rigs of images `rows`.
+void hold_shared_sensors(const Rigs& rigs, const ObservationIndex& index,
+                         const std::vector<int32_t>& window, const std::vector<int32_t>& rows,
+                         bool refines_shared, Rigs& part) {
+    std::vector<int32_t> num_users(part.sensors.size(), 0), row_of(part.sensors.size(), -1);
+    for (size_t i = 0; i < part.image_sensor.size(); ++i) {
+        const int32_t sensor = part.image_sensor[i];
+        if (sensor < 0) continue;
+        row_of[sensor] = rigs.image_sensor[rows[i]];
+        num_users[sensor] += contains(window, rows[i]);
+    }
+    for (size_t s = 0; s < num_users.size(); ++s) {
+        const bool is_shared = num_users[s] < index.num_sensor_users(row_of[s]);
+        if (num_users[s] == 0 || (is_shared && !refines_shared))
+            part.constant_sensors[s] = all_of_pose;
+    }
+}
+
+// What images have in rigs, ascending; rows: of each image, -1: none.
+std::vector<int32_t> rows_of_rigs(const std::vector<int32_t>& rows,
+                                  const std::vector<int32_t>& images) {
+    std::vector<int32_t> some;
+    if (rows.empty()) return some;
+    for (const int32_t image : images)
+        if (rows[image] >= 0) some.push_back(rows[image]);
+    make_unique(some);
+    return some;
+}
+
 }  // namespace
 
 Problem select_rows(const Problem& problem, const RowSelection& rows) {
@@ -98,6 +159,8 @@ Problem select_rows(const Problem& problem, const RowSelection& rows) {
     part.point_uncertainties = selected(problem.point_uncertainties, rows.points);
     part.loss = problem.loss;
     part.priors = selected_priors(problem.priors, rows);
+    part.rigs = selected_rigs(problem.rigs, rows_of_rigs(problem.rigs.image_frame, rows.images),
+                              rows_of_rigs(problem.rigs.image_sensor, rows.images), rows.images);
     for (Image& image : part.images) image.camera = place_of(rows.cameras, image.camera);
     for (Observation& observation : part.observations) {
         observation.image = place_of(rows.images, observation.image);
@@ -107,7 +170,8 @@ Problem select_rows(const Problem& problem, const RowSelection& rows) {
 }
 
 Subproblem extract(const Problem& problem, const ObservationIndex& index, const Window& window) {
-    const std::vector<int32_t> images = checked(window.images, problem.num_images(), "images");
+    const std::vector<int32_t> images = with_their_frames(
+        problem.rigs, index, checked(window.images, problem.num_images(), "images"));
     std::vector<int32_t> seen;  // by these
     Subproblem part;
     RowSelection& rows = part.rows;
@@ -141,9 +205,14 @@ Subproblem extract(const Problem& problem, const ObservationIndex& index, const 
         all_flags(part.problem.constant_images, rows.images.size());
     for (size_t i = 0; i < rows.images.size(); ++i) {
         if (contains(images, rows.images[i])) continue;
-        constant_images[i] = constant_rotation | constant_position;
         ++part.num_constant_images;
+        if (part.problem.rigs.has(static_cast<int32_t>(i)))
+            part.problem.rigs.constant_frames[part.problem.rigs.image_frame[i]] = all_of_pose;
+        else
+            constant_images[i] = all_of_pose;
     }
+    hold_shared_sensors(problem.rigs, index, images, rows.images, window.refine_shared_cameras,
+                        part.problem.rigs);
     std::vector<uint32_t>& constant_cameras =
         all_flags(part.problem.constant_cameras, rows.cameras.size());
     for (size_t c = 0; c < rows.cameras.size(); ++c) {
@@ -169,6 +238,20 @@ void write_state_back(const Subproblem& from, Problem& problem) {
         problem.cameras[rows.cameras[c]].params = from.problem.cameras[c].params;
     for (size_t i = 0; i < rows.images.size(); ++i)
         problem.images[rows.images[i]].pose = from.problem.images[i].pose;
+    // Images outside of the window move with their sensors.
+    const Rigs& part = from.problem.rigs;
+    bool has_moved = false;
+    for (size_t i = 0; i < part.image_frame.size(); ++i) {
+        if (part.image_frame[i] < 0) continue;
+        Rigs& rigs = problem.rigs;
+        rigs.frames[rigs.image_frame[rows.images[i]]] = part.frames[part.image_frame[i]];
+        Pose& sensor = rigs.sensors[rigs.image_sensor[rows.images[i]]];
+        const Pose& moved = part.sensors[part.image_sensor[i]];
+        has_moved = has_moved || sensor.rotation != moved.rotation ||
+                    sensor.translation != moved.translation;
+        sensor = moved;
+    }
+    if (has_moved) compose_images(problem.rigs, problem.images);
     for (size_t p = 0; p < rows.points.size(); ++p)
         problem.points[rows.points[p]] = from.problem.points[p];
 }

@@ -43,6 +43,7 @@ struct Jacobian {
     std::vector<int32_t> point;
     std::vector<double> image_blocks;  // observations x 2 x C, row-major
     std::vector<double> point_blocks;  // observations x 2 x 3, row-major
+    std::vector<Pose> sensors;         // of rigs, whose images' pose columns are those of images
     int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
 };
 Jacobian jacobian(const Problem& problem, const ParameterLayout& layout);

@@ -62,6 +62,24 @@ void subtract_product(int num_rows, int num_columns, const double* left, const d
             right[c] * a + right[num_columns + c] * b + right[2 * num_columns + c] * d;
 }
 
+// The columns of an image's pose become those of its frame or its sensor, two rows after each
+// other; tangent is A of frame_tangent, NULL: I. Constants get 0.
+void rig_columns(const double* row0, const double* row1, const std::array<double, 36>* tangent,
+                 const double* scale, double* rows) {
+    for (int c = 0; c < num_pose_params; ++c) {
+        double sum0 = row0[c], sum1 = row1[c];
+        if (tangent) {
+            sum0 = sum1 = 0;
+            for (int k = 0; k < num_pose_params; ++k) {
+                sum0 += row0[k] * (*tangent)[6 * k + c];
+                sum1 += row1[k] * (*tangent)[6 * k + c];
+            }
+        }
+        rows[c] = scale[c] > 0 ? sum0 : 0;
+        rows[num_pose_params + c] = scale[c] > 0 ? sum1 : 0;
+    }
+}
+
 // The next KiB: a point's slots follow each other, but an image's points are far apart.
 void prefetch(const double* data) {
     for (int k = 0; k < 128; k += 8) __builtin_prefetch(data + k);
@@ -113,25 +131,30 @@ std::vector<int64_t> count_starts(int64_t num_items, size_t num_keys, const Key&
 // What stays the same between solves. A slot is a free point with a free block that observes it:
 // the slots of a point follow each other, blocks ascending.
 struct DirectSchur::Structure {
-    struct PointObservation {
-        int64_t image_slot = -1;   // -1: the point or the block is constant
-        int64_t camera_slot = -1;  // likewise, or the camera is not shared
-    };
     struct BlockSlot {
         int64_t slot;
         int64_t end;  // of its point's slots
     };
+    // The free blocks of an image, ascending, and for each pair (a, b) of them, a before b, the
+    // number of J_b^T J_a at [a + b - 1].
     struct ImageBlocks {
-        int32_t pose = -1;         // the block with the image's pose
-        int32_t camera = -1;       // the block of its intrinsics, if they are shared and free
-        int64_t cross_start = -1;  // of J_camera^T J_pose, if both are free and it has observations
+        int num_parts = 0;
+        int32_t sensor = -1;  // of a composed image
+        std::array<ImagePart, ParameterLayout::max_image_parts> parts;
+        std::array<int32_t, ParameterLayout::max_image_parts> cross{-1, -1, -1};
+    };
+    // J_later^T J_earlier of two blocks that observations have in common.
+    struct Cross {
+        int32_t earlier, later;
+        int64_t start = 0;
     };
 
     Structure(const Problem& problem, const ParameterLayout& layout) {
         find_blocks(problem, layout);
+        find_crosses(problem);
         find_slots(problem);
-        find_neighbours(problem);
         find_priors(problem, layout);
+        find_neighbours();
     }
 
     std::vector<ParameterBlock> blocks;
@@ -139,14 +162,18 @@ struct DirectSchur::Structure {
     std::vector<uint8_t> is_free_block;  // 0: all its scalars are constant
     std::vector<int64_t> product_start;  // of each block's size x size numbers; blocks + 1
     std::vector<ImageBlocks> images;
+    std::vector<Cross> crosses;        // by their earlier block
+    std::vector<int64_t> cross_begin;  // of each block; blocks + 1
     std::vector<uint8_t> is_free_point;
     int32_t num_f = 0;
-    int64_t num_cross = 0;  // numbers in all J_camera^T J_pose
+    int64_t num_cross = 0;  // numbers of all crosses
     int64_t slot_size = 0;  // 3 x the largest block
 
     std::vector<int64_t> observation_start;  // of each point; points + 1
     std::vector<int64_t> observation;        // by point
-    std::vector<PointObservation> observation_slots;
+    // Of each part of an observation's image, max_parts an observation; -1: the point is constant.
+    std::vector<int64_t> observation_slots;
+    int max_parts = 2;
     std::vector<int64_t> slot_start;  // of each point; points + 1
     std::vector<int32_t> slot_block;
     std::vector<int64_t> block_slot_start;  // of each block; blocks + 1
@@ -167,8 +194,9 @@ struct DirectSchur::Structure {
 
 private:
     void find_blocks(const Problem& problem, const ParameterLayout& layout);
+    void find_crosses(const Problem& problem);
     void find_slots(const Problem& problem);
-    void find_neighbours(const Problem& problem);
+    void find_neighbours();
     void find_priors(const Problem& problem, const ParameterLayout& layout);
 };
 
@@ -176,8 +204,8 @@ void DirectSchur::Structure::find_blocks(const Problem& problem, const Parameter
     blocks = layout.blocks;
     scale = layout.scale;
     num_f = layout.num_f;
+    if (layout.has_rigs()) max_parts = ParameterLayout::max_image_parts;
     images.resize(problem.images.size());
-    std::vector<int32_t> camera_block(problem.cameras.size(), -1);
     product_start.push_back(0);
     for (size_t b = 0; b < blocks.size(); ++b) {
         const ParameterBlock& block = blocks[b];
@@ -186,21 +214,53 @@ void DirectSchur::Structure::find_blocks(const Problem& problem, const Parameter
             std::any_of(first, first + block.size, [](double s) { return s > 0; }));
         product_start.push_back(product_start.back() + block.size * block.size);
         slot_size = std::max(slot_size, int64_t{3} * block.size);
-        if (block.image >= 0)
-            images[block.image].pose = static_cast<int32_t>(b);
-        else if (is_free_block.back())
-            camera_block[block.camera] = static_cast<int32_t>(b);
     }
-    for (size_t i = 0; i < images.size(); ++i)
-        images[i].camera = camera_block[problem.images[i].camera];
-    for (const Observation& seen : problem.observations) {
-        ImageBlocks& image = images[seen.image];
-        if (image.cross_start >= 0 || image.camera < 0 || !is_free_block[image.pose]) continue;
-        image.cross_start = num_cross;
-        num_cross += num_pose_params * blocks[image.camera].size;
+    for (int32_t i = 0; i < problem.num_images(); ++i) {
+        std::array<ImagePart, ParameterLayout::max_image_parts> parts;
+        const int count = layout.parts_of(i, problem.images[i].camera, parts.data());
+        ImageBlocks& image = images[i];
+        image.sensor = layout.is_composed(i) ? layout.image_sensor[i] : -1;
+        for (int k = 0; k < count; ++k)
+            if (is_free_block[parts[k].block]) image.parts[image.num_parts++] = parts[k];
     }
     for (int32_t p = 0; p < problem.num_points(); ++p)
         is_free_point.push_back(point_scale(problem, p)[0] > 0);
+}
+
+// Of images that have observations.
+void DirectSchur::Structure::find_crosses(const Problem& problem) {
+    std::vector<char> is_listed(images.size(), 0);
+    std::vector<int32_t> listed;
+    for (const Observation& seen : problem.observations)
+        if (!std::exchange(is_listed[seen.image], char{1})) listed.push_back(seen.image);
+    const auto for_each_pair = [&](auto&& visit) {
+        for (const int32_t i : listed)
+            for (int b = 1; b < images[i].num_parts; ++b)
+                for (int a = 0; a < b; ++a)
+                    visit(images[i].parts[a].block, images[i].parts[b].block,
+                          images[i].cross[a + b - 1]);
+    };
+    const auto is_before = [](const Cross& x, const Cross& y) {
+        return std::pair(x.earlier, x.later) < std::pair(y.earlier, y.later);
+    };
+    for_each_pair([&](int32_t a, int32_t b, int32_t&) { crosses.push_back({a, b}); });
+    std::sort(crosses.begin(), crosses.end(), is_before);
+    crosses.erase(std::unique(crosses.begin(), crosses.end(),
+                              [](const Cross& x, const Cross& y) {
+                                  return x.earlier == y.earlier && x.later == y.later;
+                              }),
+                  crosses.end());
+    for (Cross& cross : crosses) {
+        cross.start = num_cross;
+        num_cross += int64_t{blocks[cross.earlier].size} * blocks[cross.later].size;
+    }
+    for_each_pair([&](int32_t a, int32_t b, int32_t& number) {
+        number = static_cast<int32_t>(
+            std::lower_bound(crosses.begin(), crosses.end(), Cross{a, b}, is_before) -
+            crosses.begin());
+    });
+    cross_begin = count_starts(static_cast<int64_t>(crosses.size()), blocks.size(),
+                               [&](int64_t k) { return crosses[k].earlier; });
 }
 
 void DirectSchur::Structure::find_slots(const Problem& problem) {
@@ -209,7 +269,7 @@ void DirectSchur::Structure::find_slots(const Problem& problem) {
     observation.resize(problem.observations.size());
     std::vector<int64_t> next = observation_start;
     for (int64_t i = 0; i < problem.num_observations(); ++i) observation[next[point_of(i)]++] = i;
-    observation_slots.resize(observation.size());
+    observation_slots.assign(observation.size() * static_cast<size_t>(max_parts), -1);
 
     std::vector<int64_t> slot_of(blocks.size(), -1);  // of the current point; reset after it
     std::vector<int32_t> track;
@@ -219,14 +279,13 @@ void DirectSchur::Structure::find_slots(const Problem& problem) {
         const int64_t end = is_free_point[p] ? observation_start[p + 1] : begin;
         track.clear();
         const auto add = [&](int32_t block) {
-            if (block < 0 || !is_free_block[block] || slot_of[block] >= 0) return;
+            if (slot_of[block] >= 0) return;
             slot_of[block] = 0;
             track.push_back(block);
         };
         for (int64_t k = begin; k < end; ++k) {
             const ImageBlocks& image = images[problem.observations[observation[k]].image];
-            add(image.pose);
-            add(image.camera);
+            for (int part = 0; part < image.num_parts; ++part) add(image.parts[part].block);
         }
         std::sort(track.begin(), track.end());
         for (const int32_t block : track) {
@@ -236,8 +295,8 @@ void DirectSchur::Structure::find_slots(const Problem& problem) {
         slot_start.push_back(static_cast<int64_t>(slot_block.size()));
         for (int64_t k = begin; k < end; ++k) {
             const ImageBlocks& image = images[problem.observations[observation[k]].image];
-            observation_slots[k].image_slot = slot_of[image.pose];
-            if (image.camera >= 0) observation_slots[k].camera_slot = slot_of[image.camera];
+            for (int part = 0; part < image.num_parts; ++part)
+                observation_slots[max_parts * k + part] = slot_of[image.parts[part].block];
         }
         for (const int32_t block : track) slot_of[block] = -1;
     }
@@ -251,14 +310,15 @@ void DirectSchur::Structure::find_slots(const Problem& problem) {
             block_slots[next[slot_block[slot]]++] = {slot, slot_start[p + 1]};
 }
 
-void DirectSchur::Structure::find_neighbours(const Problem& problem) {
+void DirectSchur::Structure::find_neighbours() {
     std::vector<int32_t> found_for(blocks.size(), -1);
-    std::vector<std::vector<int32_t>> later(problem.priors.relative_poses.empty() ? 0
-                                                                                  : blocks.size());
-    for (const RelativePosePrior& prior : problem.priors.relative_poses) {
-        const auto [first, last] = std::minmax(images[prior.first].pose, images[prior.second].pose);
-        later[first].push_back(last);
-    }
+    std::vector<std::vector<int32_t>> later(prior_entries.empty() ? 0 : blocks.size());
+    std::vector<int32_t> block_of(later.empty() ? 0 : static_cast<size_t>(num_f));
+    for (size_t b = 0; b < later.size(); ++b)
+        std::fill_n(block_of.begin() + blocks[b].offset, blocks[b].size, static_cast<int32_t>(b));
+    for (const PriorEntry& entry : prior_entries)
+        if (block_of[entry.row] != block_of[entry.column])
+            later[block_of[entry.column]].push_back(block_of[entry.row]);
     neighbour_start.push_back(0);
     for (size_t b = 0; b < blocks.size(); ++b) {
         const auto add = [&](int32_t neighbour) {
@@ -270,9 +330,8 @@ void DirectSchur::Structure::find_neighbours(const Problem& problem) {
             const auto [own, end] = block_slots[k];
             for (int64_t slot = own + 1; slot < end; ++slot) add(slot_block[slot]);
         }
-        // An image whose points are all constant shares no slot with its camera.
-        const int32_t image = blocks[b].image;
-        if (image >= 0 && images[image].cross_start >= 0) add(images[image].camera);
+        // Where points are all constant there are no slots in common.
+        for (int64_t k = cross_begin[b]; k < cross_begin[b + 1]; ++k) add(crosses[k].later);
         if (!later.empty())
             for (int32_t block : later[b]) add(block);
         std::sort(neighbours.begin() + neighbour_start[b], neighbours.end());
@@ -324,7 +383,7 @@ SparseCholesky DirectSchur::Structure::analyze() const {
 // What each solve computes anew.
 struct DirectSchur::Numbers {
     explicit Numbers(const Structure& structure);
-    void start(const double* gradient);
+    void start(const Jacobian& jacobian, const double* gradient);
     void add_observations(const Jacobian& jacobian, int64_t point);
     bool eliminate(int64_t point, const double* gradient, const double* damping);
     void fill_columns(int32_t block, const double* damping);
@@ -335,13 +394,14 @@ struct DirectSchur::Numbers {
     SparseCholesky cholesky;
     std::vector<double> slots;     // W, then Z, of each slot: size x 3, column-major
     std::vector<double> products;  // U of each block, column-major
-    std::vector<double> cross;     // J_camera^T J_pose of each image, column-major
+    std::vector<double> cross;     // of each of the structure's crosses, column-major
     std::array<double, 9> v{};     // of the current point
     std::vector<PointFactor> factors;
     std::vector<std::array<double, 3>> y;  // of each point
     std::vector<double> right;             // b
     std::vector<double> values;            // of S
     std::vector<int64_t> row_offset;       // of each neighbour of the current block in its columns
+    std::vector<std::array<double, 36>> tangents;  // frame_tangent of each sensor
     int64_t num_indefinite = 0;
 };
 
@@ -357,8 +417,10 @@ DirectSchur::Numbers::Numbers(const Structure& structure)
       values(cholesky.column_starts().back()),
       row_offset(s.blocks.size()) {}
 
-void DirectSchur::Numbers::start(const double* gradient) {
+void DirectSchur::Numbers::start(const Jacobian& jacobian, const double* gradient) {
     num_indefinite = 0;
+    tangents.clear();
+    for (const Pose& sensor : jacobian.sensors) tangents.push_back(frame_tangent(sensor));
     std::fill(slots.begin(), slots.end(), 0.0);
     std::fill(products.begin(), products.end(), 0.0);
     std::fill(cross.begin(), cross.end(), 0.0);
@@ -379,25 +441,38 @@ void DirectSchur::Numbers::add_observations(const Jacobian& jacobian, int64_t po
         const double* e1 = e0 + 3;
         add_product<3>(3, 3, e0, e1, e0, e1, v.data());
 
-        const auto add = [&](int32_t block, int64_t slot, int first_column) {
-            const int size = s.blocks[block].size;
-            const double* row0 = f0 + first_column;
-            const double* row1 = f1 + first_column;
-            double* u = products.data() + s.product_start[block];
-            with_size(size, [&](auto n) {
+        const Structure::ImageBlocks& image = s.images[jacobian.image[i]];
+        std::array<std::array<double, 2 * num_pose_params>, 2> of_rig;  // of frame and sensor
+        struct {
+            const double *row0, *row1;
+            int size;
+        } of_part[ParameterLayout::max_image_parts];
+        for (int part = 0; part < image.num_parts; ++part) {
+            const ImagePart& columns_of = image.parts[part];
+            const ParameterBlock& block = s.blocks[columns_of.block];
+            auto& [row0, row1, size] = of_part[part];
+            row0 = f0 + columns_of.first_column;
+            row1 = f1 + columns_of.first_column;
+            size = columns_of.size;
+            if (block.frame >= 0 || block.sensor >= 0) {
+                double* rows = of_rig[columns_of.is_of_frame ? 0 : 1].data();
+                rig_columns(row0, row1, columns_of.is_of_frame ? &tangents[image.sensor] : nullptr,
+                            s.scale.data() + block.offset, rows);
+                row0 = rows;
+                row1 = rows + num_pose_params;
+            }
+            double* u = products.data() + s.product_start[columns_of.block];
+            const int64_t slot = s.observation_slots[s.max_parts * k + part];
+            with_size(size, [&, row0 = row0, row1 = row1, size = size](auto n) {
                 add_product<n>(size, size, row0, row1, row0, row1, u);
                 if (slot >= 0)
                     add_product<n>(size, 3, row0, row1, e0, e1, slots.data() + slot * s.slot_size);
             });
-        };
-        const Structure::ImageBlocks& image = s.images[jacobian.image[i]];
-        add(image.pose, s.observation_slots[k].image_slot, 0);
-        if (image.camera < 0) continue;
-        add(image.camera, s.observation_slots[k].camera_slot, num_pose_params);
-        if (image.cross_start >= 0)
-            add_product<Eigen::Dynamic>(s.blocks[image.camera].size, num_pose_params,
-                                        f0 + num_pose_params, f1 + num_pose_params, f0, f1,
-                                        cross.data() + image.cross_start);
+            for (int a = 0; a < part; ++a)
+                add_product<Eigen::Dynamic>(
+                    size, of_part[a].size, row0, row1, of_part[a].row0, of_part[a].row1,
+                    cross.data() + s.crosses[image.cross[a + part - 1]].start);
+        }
     }
 }
 
@@ -440,12 +515,12 @@ void DirectSchur::Numbers::fill_columns(int32_t block, const double* damping) {
         row_offset[s.neighbours[k]] = offset;
         offset += s.blocks[s.neighbours[k]].size;
     }
-    if (own.image >= 0 && s.images[own.image].cross_start >= 0) {
-        const Structure::ImageBlocks& image = s.images[own.image];
-        const int size = s.blocks[image.camera].size;
-        const double* from = cross.data() + image.cross_start;
-        for (int c = 0; c < num_pose_params; ++c)
-            std::copy_n(from + c * size, size, below[c] + row_offset[image.camera]);
+    for (int64_t k = s.cross_begin[block]; k < s.cross_begin[block + 1]; ++k) {
+        const int32_t later = s.crosses[k].later;
+        const int size = s.blocks[later].size;
+        const double* from = cross.data() + s.crosses[k].start;
+        for (int c = 0; c < own.size; ++c)
+            std::copy_n(from + c * size, size, below[c] + row_offset[later]);
     }
 
     for (int64_t k = s.block_slot_start[block]; k < s.block_slot_start[block + 1]; ++k) {
@@ -510,7 +585,7 @@ bool DirectSchur::solve(const Jacobian& jacobian, const double* gradient, const 
     require(jacobian.num_observations() == num_observations, "the Jacobian has ",
             jacobian.num_observations(), " observations, but the problem has ", num_observations);
 
-    numbers.start(gradient);
+    numbers.start(jacobian, gradient);
     for (int64_t p = 0; p < s.num_points(); ++p) {
         numbers.add_observations(jacobian, p);
         if (s.is_free_point[p] && !numbers.eliminate(p, gradient, damping))

@@ -24,10 +24,10 @@ public:
     DirectSchur(const Problem& problem, const ParameterLayout& layout);
     ~DirectSchur();
 
-    // The Jacobian has the same observations. gradient, damping (lambda D^2, the diagonal) and
-    // delta have num_parameters numbers; image_priors are the values of P in the pattern of
-    // ImagePriors. False: some V or S is not positive definite, or the result
-    // is not finite; delta is not to be used then.
+    // The Jacobian has the same observations, and the sensors if there are rigs. gradient, damping
+    // (lambda D^2, the diagonal) and delta have num_parameters numbers; image_priors are the values
+    // of P in the pattern of ImagePriors. False: some V or S is not positive definite, or the
+    // result is not finite; delta is not to be used then.
     bool solve(const Jacobian& jacobian, const double* gradient, const double* damping,
                const std::vector<double>& image_priors, double* delta);
 

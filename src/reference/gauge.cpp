@@ -86,14 +86,20 @@ GaugeState gauge_of(const Problem& problem, const ParameterLayout& layout) {
     // move.
     Eigen::Matrix<double, Eigen::Dynamic, 7, Eigen::RowMajor> motion(layout.num_f, 7);
     motion.setZero();
-    for (int32_t i = 0; i < problem.num_images(); ++i) {
-        const Pose& pose = problem.images[i].pose;
+    const auto set_motion = [&](int32_t offset, const Pose& pose) {
         const RowMajor3 rotation =
             Eigen::Map<const RowMajor3>(rotation_matrix(pose.rotation).data());
-        motion.block<3, 3>(layout.pose_offset[i], 0) = -rotation;
-        motion.middleRows<3>(layout.pose_offset[i] + 3) =
-            -similarities.extent() * rotation *
-            similarities.of_position(vector_of(camera_center(pose)));
+        motion.block<3, 3>(offset, 0) = -rotation;
+        motion.middleRows<3>(offset + 3) = -similarities.extent() * rotation *
+                                           similarities.of_position(vector_of(camera_center(pose)));
+    };
+    for (const ParameterBlock& block : layout.blocks) {
+        if (block.image >= 0) set_motion(block.offset, problem.images[block.image].pose);
+        if (block.frame >= 0) set_motion(block.offset, problem.rigs.frames[block.frame]);
+        // A sensor's place in its rig is scaled.
+        if (block.sensor >= 0)
+            motion.block<3, 1>(block.offset + 3, 3) =
+                vector_of(problem.rigs.sensors[block.sensor].translation);
     }
     HeldFreedoms held;
     for (int32_t k = 0; k < layout.num_f; ++k)
@@ -109,7 +115,7 @@ GaugeState gauge_of(const Problem& problem, const ParameterLayout& layout) {
     if (problem.priors.empty()) return {Gauge::free, 7 - by_constants};
 
     ImagePriors(problem, layout)
-        .for_each_row(problem.images, problem.cameras,
+        .for_each_row(problem.images, problem.cameras, problem.rigs.sensors,
                       [&](double, int n, const int32_t* scalars, const double* row) {
                           Eigen::Matrix<double, 1, 7> of_row = Eigen::Matrix<double, 1, 7>::Zero();
                           double size = 0;

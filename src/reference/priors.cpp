@@ -14,7 +14,8 @@ using RowMajor3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using Eigen::Vector3d;
 
 constexpr int max_residuals = std::max(num_pose_params, max_camera_params);
-constexpr int max_parameters = std::max(2 * num_pose_params, max_camera_params);
+// Of two poses, each of a frame and a sensor.
+constexpr int max_parameters = std::max(4 * num_pose_params, max_camera_params);
 
 using Residual = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, max_residuals, 1>;
 using Block = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, max_residuals,
@@ -99,20 +100,73 @@ struct ImagePriors::Term {
     const std::vector<int32_t>& scalars;
 };
 
-// use(term, evaluate): evaluate(images, cameras, r, j) fills the whitened residual and, unless j is
-// NULL, its Jacobian.
+namespace {
+
+// Columns of an image's pose, of which there are `count` from `first`, that are to become those of
+// its frame (and, with six more, its sensor).
+struct PoseColumns {
+    int first = 0, count = 0;
+    int32_t sensor = -1;  // -1: the pose is the image's own
+};
+
+// j of images to j of parameters.
+void transform_columns(const std::vector<PoseColumns>& poses, const std::vector<Pose>& sensors,
+                       Block& j) {
+    const Block of_images = j;
+    Eigen::Index to = 0;
+    for (const PoseColumns& pose : poses) to += pose.sensor < 0 ? pose.count : 2 * num_pose_params;
+    j.setZero(of_images.rows(), to);
+    to = 0;
+    for (const PoseColumns& pose : poses) {
+        const auto columns = of_images.middleCols(pose.first, pose.count);
+        if (pose.sensor < 0) {
+            j.middleCols(to, pose.count) = columns;
+            to += pose.count;
+            continue;
+        }
+        const std::array<double, 36> a = frame_tangent(sensors[pose.sensor]);
+        const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> of_frame(a.data());
+        // The columns are a pose's last.
+        j.middleCols<6>(to) = columns * of_frame.bottomRows(pose.count);
+        j.middleCols(to + 2 * num_pose_params - pose.count, pose.count) = columns;
+        to += 2 * num_pose_params;
+    }
+}
+
+}  // namespace
+
+// use(term, evaluate): evaluate(images, cameras, sensors, r, j) fills the whitened residual and,
+// unless j is NULL, its Jacobian.
 template <class Use>
 void ImagePriors::for_each_term(Use&& use) const {
     std::vector<int32_t> scalars;
+    std::vector<PoseColumns> poses;
+    int num_columns = 0;  // of images
+    bool is_composed = false;
     const auto add = [&](int32_t first, int count) {
         for (int32_t k = first; k < first + count; ++k) scalars.push_back(scale_[k] > 0 ? k : -1);
     };
+    // The last `count` of its pose.
+    const auto add_pose = [&](int32_t image, int count) {
+        const int32_t sensor = image_sensor_.empty() ? -1 : image_sensor_[image];
+        poses.push_back({num_columns, count, sensor});
+        num_columns += count;
+        is_composed = is_composed || sensor >= 0;
+        if (sensor < 0) {
+            add(pose_offset_[image] + num_pose_params - count, count);
+        } else {
+            add(pose_offset_[image], num_pose_params);
+            add(sensor_offset_[sensor], num_pose_params);
+        }
+    };
     const auto visit = [&](const auto& prior, int n, int stride, auto&& evaluate_prior) {
+        if (!is_composed) num_columns = static_cast<int>(scalars.size());
         use(Term{scalars}, [&](const std::vector<Image>& images, const std::vector<Camera>& cameras,
-                               Residual& r, Block* j) {
+                               const std::vector<Pose>& sensors, Residual& r, Block* j) {
             r.resize(n);
-            if (j) j->setZero(n, static_cast<Eigen::Index>(scalars.size()));
+            if (j) j->setZero(n, num_columns);
             evaluate_prior(images, cameras, r, j);
+            if (j && is_composed) transform_columns(poses, sensors, *j);
             const Eigen::Map<const Block, 0, Eigen::OuterStride<>> whitening(
                 prior.whitening.data(), n, n, Eigen::OuterStride<>(stride));
             const Residual unweighted = r;
@@ -122,15 +176,18 @@ void ImagePriors::for_each_term(Use&& use) const {
             *j = whitening * unweighted_j;
         });
         scalars.clear();
+        poses.clear();
+        num_columns = 0;
+        is_composed = false;
     };
     for (const PositionPrior& prior : priors_.positions) {
-        add(pose_offset_[prior.image] + 3, 3);
+        add_pose(prior.image, 3);
         visit(prior, 3, 3, [&](const auto& images, const auto&, Residual& r, Block* j) {
             evaluate(prior, images[prior.image].pose, r, j);
         });
     }
     for (const PosePrior& prior : priors_.poses) {
-        add(pose_offset_[prior.image], num_pose_params);
+        add_pose(prior.image, num_pose_params);
         visit(prior, 6, 6, [&](const auto& images, const auto&, Residual& r, Block* j) {
             evaluate(prior, images[prior.image].pose, r, j);
         });
@@ -146,8 +203,8 @@ void ImagePriors::for_each_term(Use&& use) const {
               });
     }
     for (const RelativePosePrior& prior : priors_.relative_poses) {
-        add(pose_offset_[prior.first], num_pose_params);
-        add(pose_offset_[prior.second], num_pose_params);
+        add_pose(prior.first, num_pose_params);
+        add_pose(prior.second, num_pose_params);
         visit(prior, 6, 6, [&](const auto& images, const auto&, Residual& r, Block* j) {
             evaluate(prior, images[prior.first].pose, images[prior.second].pose, r, j);
         });
@@ -158,7 +215,10 @@ ImagePriors::ImagePriors(const Problem& problem, const ParameterLayout& layout)
     : priors_(problem.priors),
       scale_(layout.scale),
       pose_offset_(layout.pose_offset),
-      intrinsics_offset_(layout.intrinsics_offset) {
+      intrinsics_offset_(layout.intrinsics_offset),
+      image_sensor_(layout.image_sensor) {
+    for (const int32_t block : layout.sensor_block)
+        sensor_offset_.push_back(block < 0 ? -1 : layout.blocks[block].offset);
     for (const Camera& camera : problem.cameras) num_params_.push_back(camera.num_params());
     list_pattern();
 }
@@ -184,20 +244,21 @@ double ImagePriors::cost(const std::vector<Image>& images,
     double sum = 0;
     for_each_term([&](const Term&, auto&& evaluate_term) {
         Residual r;
-        evaluate_term(images, cameras, r, nullptr);
+        evaluate_term(images, cameras, {}, r, nullptr);
         sum += 0.5 * r.squaredNorm();
     });
     return sum;
 }
 
 void ImagePriors::linearize(const std::vector<Image>& images, const std::vector<Camera>& cameras,
-                            std::vector<double>& gradient, std::vector<double>& values) const {
+                            const std::vector<Pose>& sensors, std::vector<double>& gradient,
+                            std::vector<double>& values) const {
     gradient.assign(scale_.size(), 0.0);
     values.assign(columns_.size(), 0.0);
     Residual r;
     Block j;
     for_each_term([&](const Term& term, auto&& evaluate_term) {
-        evaluate_term(images, cameras, r, &j);
+        evaluate_term(images, cameras, sensors, r, &j);
         const auto n = static_cast<Eigen::Index>(term.scalars.size());
         for (Eigen::Index a = 0; a < n; ++a) {
             const int32_t row = term.scalars[a];
@@ -216,11 +277,11 @@ void ImagePriors::linearize(const std::vector<Image>& images, const std::vector<
 }
 
 void ImagePriors::for_each_row(const std::vector<Image>& images, const std::vector<Camera>& cameras,
-                               const VisitRow& visit) const {
+                               const std::vector<Pose>& sensors, const VisitRow& visit) const {
     Residual r;
     Block j;
     for_each_term([&](const Term& term, auto&& evaluate_term) {
-        evaluate_term(images, cameras, r, &j);
+        evaluate_term(images, cameras, sensors, r, &j);
         for (Eigen::Index row = 0; row < r.size(); ++row)
             visit(r[row], static_cast<int>(j.cols()), term.scalars.data(), j.row(row).data());
     });

@@ -30,16 +30,17 @@ public:
 
     // The state is that of images' poses and cameras' parameters.
     double cost(const std::vector<Image>& images, const std::vector<Camera>& cameras) const;
-    // J^T r (num_f numbers) and the values of P.
+    // J^T r (num_f numbers) and the values of P. sensors: those of rigs, if there are.
     void linearize(const std::vector<Image>& images, const std::vector<Camera>& cameras,
-                   std::vector<double>& gradient, std::vector<double>& values) const;
+                   const std::vector<Pose>& sensors, std::vector<double>& gradient,
+                   std::vector<double>& values) const;
 
     // visit(r, num_scalars, scalars, row) for each whitened residual and its row of J, whose
-    // columns are `scalars`: -1 for constants.
+    // columns are `scalars`: -1 for constants. A scalar may occur twice.
     using VisitRow =
         std::function<void(double r, int num_scalars, const int32_t* scalars, const double* row)>;
     void for_each_row(const std::vector<Image>& images, const std::vector<Camera>& cameras,
-                      const VisitRow& visit) const;
+                      const std::vector<Pose>& sensors, const VisitRow& visit) const;
 
 private:
     struct Term;
@@ -50,7 +51,9 @@ private:
     Priors priors_;
     std::vector<double> scale_;
     std::vector<int32_t> pose_offset_, intrinsics_offset_;
-    std::vector<int32_t> num_params_;  // of each camera
+    std::vector<int32_t> image_sensor_;   // ParameterLayout::image_sensor
+    std::vector<int32_t> sensor_offset_;  // of each sensor that has one
+    std::vector<int32_t> num_params_;     // of each camera
     std::vector<int32_t> rows_, row_begin_, columns_;
 };
 

@@ -156,9 +156,14 @@ std::vector<std::string> colmap_text_seeds() {
     const std::string frames =
         "1 1 0.5 0.5 -0.5 0.5 1 2 3 1 CAMERA 1 1\n2 2 1 0 0 0 -1 -2 -3 1 CAMERA 7 2\n"
         "3 3 1 0 0 0 0 0 0 1 CAMERA 9 5\n";
-    return {text(cameras, separator, images, separator, points),
-            text(cameras, separator, images, separator, points, separator, rigs, separator, frames),
-            text("", separator, "", separator, "")};
+    return {
+        text(cameras, separator, images, separator, points),
+        text(cameras, separator, images, separator, points, separator, rigs, separator, frames),
+        text(
+            cameras, separator, images, separator, points, separator,
+            "1 3 CAMERA 1 CAMERA 7 1 0.5 0.5 0.5 0.5 0 0.25 1 IMU 1 0\n3 1 CAMERA 9\n", separator,
+            "1 1 0.5 0.5 -0.5 0.5 1 2 3 2 CAMERA 1 1 CAMERA 7 2\n3 3 1 0 0 0 0 0 0 1 CAMERA 9 5\n"),
+        text("", separator, "", separator, "")};
 }
 
 std::vector<std::string> colmap_binary_seeds() {

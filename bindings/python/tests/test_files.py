@@ -117,10 +117,9 @@ def test_a_solved_model_is_read_by_colmap(format: str, tmp_path: pathlib.Path) -
 
 def test_a_rig_is_kept_while_its_images_agree_with_it(tmp_path: pathlib.Path) -> None:
     made = synthetic(3)
-    theirs = write(made, tmp_path / "theirs", "colmap_binary")
-    with pytest.warns(UserWarning, match="24 images are parts of 8 frames of several sensors"):
-        problem = clba.Problem.read(theirs)
-    assert len(problem.notices) == 1
+    problem = clba.Problem.read(write(made, tmp_path / "theirs", "colmap_binary"))
+    assert not problem.notices
+    assert (len(problem.frame_poses), len(problem.sensor_poses)) == (8, 6)
     # The world moves: P = R X + t = R (X - d) + (t + R d).
     shift = np.array([1.0, -2.0, 0.5])
     poses = problem.poses
@@ -134,6 +133,9 @@ def test_a_rig_is_kept_while_its_images_agree_with_it(tmp_path: pathlib.Path) ->
     assert cost_of(moved) == pytest.approx(0, abs=1e-15)
     # One image leaves its rig.
     poses[5, 4] += 0.1
+    with pytest.raises(ValueError, match="image 5 is turned by"):
+        problem.poses = poses
+    problem.set_rigs(None)
     problem.poses = poses
     problem.write(tmp_path / "split")
     split = pycolmap.Reconstruction(tmp_path / "split")

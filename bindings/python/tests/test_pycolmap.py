@@ -206,11 +206,93 @@ def test_other_models_are_refused_by_name() -> None:
             clba.Problem.from_pycolmap(reconstruction)
 
 
-def test_rigs_are_refused() -> None:
+def rig_reconstruction() -> pycolmap.Reconstruction:
+    """Two rigs of three cameras, whose frames, sensors and points are disturbed."""
+    pycolmap.set_random_seed(5)
     options = pycolmap.SyntheticDatasetOptions()
-    options.num_cameras_per_rig = 2
-    with pytest.raises(ValueError, match=r"image \d+ \(.*\) is part of a rig of several sensors"):
-        clba.Problem.from_pycolmap(pycolmap.synthesize_dataset(options))
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 2, 3, 4
+    options.num_points3D = 150
+    options.sensor_from_rig_translation_stddev = 0.3
+    made = pycolmap.synthesize_dataset(options)
+    disturbance = pycolmap.SyntheticNoiseOptions()
+    disturbance.point2D_stddev = 0.7
+    disturbance.point3D_stddev = 0.02
+    disturbance.rig_from_world_translation_stddev = 0.02
+    disturbance.rig_from_world_rotation_stddev = 0.3
+    pycolmap.synthesize_noise(disturbance, made)
+    random = np.random.default_rng(2)
+    for rig in made.rigs.values():
+        for sensor, pose in rig.non_ref_sensors.items():
+            assert pose is not None
+            turn = pycolmap.Rotation3d(random.normal(0, 0.003, 3))
+            moved = pose.translation + random.normal(0, 0.01, 3)
+            rig.set_sensor_from_rig(sensor, pycolmap.Rigid3d(turn * pose.rotation, moved))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("refines", "linear_solver"),
+    [(True, "pcg_schur"), (True, "explicit_schur"), (False, "pcg_schur")],
+)
+def test_rigs_end_where_colmap_ends(
+    refines: bool, linear_solver: Any, tmp_path: pathlib.Path
+) -> None:
+    """The same cost to 1e-6, with sensors that are refined and that are not."""
+    reconstruction = rig_reconstruction()
+    theirs = copy.deepcopy(reconstruction)
+    reconstruction.write(tmp_path)
+    problem = clba.Problem.from_pycolmap(reconstruction, refine_sensor_from_rig=refines)
+    assert (problem.frame_poses.shape, problem.sensor_poses.shape) == ((8, 7), (6, 7))
+    start = problem.evaluate(jacobian=False).cost
+    sensors = problem.sensor_poses
+    summary = clba.solve(
+        problem, function_tolerance=1e-12, precision="double", linear_solver=linear_solver
+    )
+    assert (problem.sensor_poses == sensors).all(axis=1).tolist() == (
+        [True, False, False] * 2 if refines else [True] * 6
+    )
+    problem.update_pycolmap(reconstruction)
+
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_sensor_from_rig = refines
+    # It stops by the gradient alone, where its default is loose.
+    options.ceres.solver_options.gradient_tolerance = 1e-8
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in theirs.reg_image_ids():
+        config.add_image(image_id)
+    # Not two cameras, as by default: the length of a rig that is constant fixes the scale.
+    config.set_constant_rig_from_world_pose(min(theirs.reg_frame_ids()))
+    pycolmap.create_default_bundle_adjuster(options, config, theirs).solve()
+    their_cost = clba.Problem.from_pycolmap(theirs).evaluate(jacobian=False).cost
+    our_cost = clba.Problem.from_pycolmap(reconstruction).evaluate(jacobian=False).cost
+    assert summary.converged and our_cost < 0.1 * start
+    assert our_cost == pytest.approx(summary.final_cost, rel=1e-9)
+    assert our_cost == pytest.approx(their_cost, rel=1e-6)
+    assert reconstruction.is_valid()
+
+    # A file of it has the same rigs.
+    read = clba.Problem.read(tmp_path)
+    assert not read.notices
+    assert sorted(read.image_sensors) == sorted(problem.image_sensors)
+    assert read.evaluate(jacobian=False).cost == pytest.approx(start, rel=1e-9)
+    if refines:
+        read.set_constant_cameras(True, ["cx", "cy"])
+        clba.solve(read, function_tolerance=1e-12, precision="double")
+        read.write(tmp_path / "solved/")
+        solved = pycolmap.Reconstruction(tmp_path / "solved")
+        assert solved.num_frames() == 8
+        assert clba.Problem.from_pycolmap(solved).evaluate(jacobian=False).cost == pytest.approx(
+            our_cost, rel=1e-6
+        )
+
+
+def test_rigs_that_changed_are_named() -> None:
+    reconstruction = rig_reconstruction()
+    problem = clba.Problem.from_pycolmap(reconstruction)
+    problem.set_rigs(None)
+    with pytest.raises(ValueError, match="has rigs of several sensors, but the problem has them"):
+        problem.update_pycolmap(reconstruction)
 
 
 def test_updating_another_reconstruction_changes_nothing(problem: clba.Problem) -> None:

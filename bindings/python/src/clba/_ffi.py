@@ -95,6 +95,25 @@ class ProblemInfo(Structure):
         ("num_image_camera_parameters", c_int64),
         ("num_parameters_per_image_block", c_int32),
         ("num_shared_cameras", c_int32),
+        ("num_frames", c_int32),
+        ("num_sensors", c_int32),
+    ]
+
+
+class Rigs(Structure):
+    """clba_rigs"""
+
+    _fields_ = [
+        ("struct_size", c_uint32),
+        ("num_frames", c_int32),
+        ("num_sensors", c_int32),
+        ("reserved", c_int32),
+        ("frames", POINTER(c_int32)),
+        ("sensors", POINTER(c_int32)),
+        ("sensor_poses", POINTER(c_double)),
+        ("frame_poses", POINTER(c_double)),
+        ("constant_sensors", POINTER(c_int32)),
+        ("constant_frames", POINTER(c_int32)),
     ]
 
 
@@ -422,6 +441,7 @@ STRUCTS: dict[str, type[Structure]] = {
         DeviceInfo,
         ContextOptions,
         ProblemInfo,
+        Rigs,
         Iteration,
         SolverOptions,
         Summary,
@@ -450,6 +470,7 @@ _int64s = POINTER(c_int64)
 _doubles = POINTER(c_double)
 _uint64s = POINTER(c_uint64)
 _bytes = POINTER(c_uint8)
+_rig_poses = [_problem, c_int32, c_int32, _doubles, c_size_t, _int32s, c_size_t]
 _priors = [_problem, c_int32, _int32s, c_size_t, _doubles, c_size_t, _doubles, c_size_t]
 
 # Function: type of the result, types of the arguments.
@@ -533,6 +554,15 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     "clba_problem_set_point_uncertainties": (_status, [_problem, c_int32, _doubles, c_size_t]),
     "clba_loss_name": (c_char_p, [c_int32]),
     "clba_problem_set_loss": (_status, [_problem, c_int32, c_double]),
+    "clba_rigs_init": (_status, [POINTER(Rigs), c_size_t]),
+    "clba_problem_set_rigs": (_status, [_problem, POINTER(Rigs)]),
+    "clba_problem_get_frames": (_status, _rig_poses),
+    "clba_problem_get_sensors": (_status, _rig_poses),
+    "clba_problem_get_image_rigs": (
+        _status,
+        [_problem, c_int32, c_int32, _int32s, c_size_t, _int32s, c_size_t],
+    ),
+    "clba_problem_get_sensor_offsets": (_status, [_problem, _int64s]),
     "clba_problem_set_position_priors": (_status, _priors),
     "clba_problem_set_pose_priors": (_status, _priors),
     "clba_problem_set_intrinsics_priors": (_status, _priors),

@@ -18,7 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clba import _arrays, _covariance, _evaluation, _ffi, _filter, _names, _problem_files
+from clba import (
+    _arrays,
+    _covariance,
+    _evaluation,
+    _ffi,
+    _filter,
+    _names,
+    _problem_files,
+    _rigs,
+)
 from clba._arrays import Doubles, Int32s, UInt64s, pointer, stride
 from clba._covariance import Covariance
 from clba._devices import Context, context_of
@@ -76,6 +85,8 @@ class Problem:
         self._summary: Summary | None = None
         # Of the reconstruction that the problem was made from: which rows are which of its parts.
         self._colmap_ids: tuple[list[int], list[int], list[int]] | None = None
+        # Of each frame its id, of each sensor the ids of its rig and its camera.
+        self._colmap_rigs: tuple[list[int], list[tuple[int, int]]] | None = None
 
     @classmethod
     def _of(cls, handle: Any) -> Problem:
@@ -216,30 +227,35 @@ class Problem:
         refine_focal_length: bool = True,
         refine_principal_point: bool = False,
         refine_extra_params: bool = True,
+        refine_sensor_from_rig: bool = True,
     ) -> Problem:
         """A problem from the registered images of a reconstruction, its points and their tracks.
 
-        As in COLMAP's bundle adjustment, principal points are constant unless asked for.
+        As in COLMAP's bundle adjustment, principal points are constant unless asked for, and the
+        sensors of rigs are free, but for reference sensors.
 
         Raises:
-            ValueError: a camera has a model that clba does not have, or an image is part of a rig
-                of several sensors; the message names it.
+            ValueError: a camera has a model that clba does not have; the message names it.
         """
         from clba import _pycolmap
 
         return _pycolmap.problem(
-            reconstruction, refine_focal_length, refine_principal_point, refine_extra_params
+            reconstruction,
+            refine_focal_length,
+            refine_principal_point,
+            refine_extra_params,
+            refine_sensor_from_rig,
         )
 
     def update_pycolmap(self, reconstruction: pycolmap.Reconstruction) -> None:
-        """Writes poses, intrinsics and points back, and updates the points' errors.
+        """Writes poses, sensors of rigs, intrinsics and points back, and updates points' errors.
 
         Args:
             reconstruction: the one given to ``from_pycolmap``, or a copy of it.
 
         Raises:
             ValueError: the problem was not made by ``from_pycolmap``, or the reconstruction lacks
-                a camera, image or point of it; then nothing is changed.
+                a camera, image or point of it, or has other rigs; then nothing is changed.
         """
         from clba import _pycolmap
 
@@ -792,6 +808,78 @@ class Problem:
                     values=name,
                 )
 
+    # ---- Rigs ----------------------------------------------------------------------------------
+
+    def set_rigs(
+        self,
+        frames: npt.ArrayLike | None,
+        sensors: npt.ArrayLike | None = None,
+        sensor_poses: npt.ArrayLike | None = None,
+        *,
+        frame_poses: npt.ArrayLike | None = None,
+        constant_sensors: npt.ArrayLike | None = None,
+        constant_frames: npt.ArrayLike | None = None,
+    ) -> None:
+        """Cameras that are fixed to one body; replaces what was set before.
+
+        An image's pose becomes ``sensor_from_rig * rig_from_world`` of its sensor and its frame,
+        exactly, and these are what a solve moves. Hold one sensor of each rig, usually one whose
+        pose is the identity.
+
+        Args:
+            frames: (num_images,) the frame of each image, from 0 without gaps; -1 where it is in no
+                rig; None: no rigs.
+            sensors: (num_images,) its sensor, likewise. Sensors of all rigs are numbered together.
+            sensor_poses: (num_sensors, 7), sensor from rig, qw, qx, qy, qz, tx, ty, tz.
+            frame_poses: (num_frames, 7), rig from world; by default those that the images have,
+                which must agree with their sensors.
+            constant_sensors: sensors whose pose stays: True for all, a boolean array
+                (num_sensors,), indices, or a boolean array (num_sensors, 2) for rotations and
+                positions.
+            constant_frames: frames whose pose stays, likewise.
+        """
+        with self._use() as handle:
+            self._colmap_rigs = None
+            if frames is None:
+                _rigs.remove_rigs(handle)
+                return
+            _rigs.set_rigs(
+                handle,
+                problem_info(handle).num_images,
+                frames,
+                _required(sensors, "sensors"),
+                _required(sensor_poses, "sensor_poses"),
+                frame_poses,
+                constant_sensors,
+                constant_frames,
+            )
+
+    @property
+    def frame_poses(self) -> Doubles:
+        """(num_frames, 7) rig from world; no rows without rigs."""
+        with self._use() as handle:
+            count = problem_info(handle).num_frames
+            return _rigs.poses(handle, lib.clba_problem_get_frames, count)
+
+    @property
+    def sensor_poses(self) -> Doubles:
+        """(num_sensors, 7) sensor from rig; no rows without rigs."""
+        with self._use() as handle:
+            count = problem_info(handle).num_sensors
+            return _rigs.poses(handle, lib.clba_problem_get_sensors, count)
+
+    @property
+    def image_frames(self) -> Int32s:
+        """(num_images,) the frame of each image, -1 where it is in no rig."""
+        with self._use() as handle:
+            return _rigs.of_images(handle, problem_info(handle).num_images)[0]
+
+    @property
+    def image_sensors(self) -> Int32s:
+        """(num_images,) the sensor of each image, -1 where it is in no rig."""
+        with self._use() as handle:
+            return _rigs.of_images(handle, problem_info(handle).num_images)[1]
+
     # ---- Removing outliers ---------------------------------------------------------------------
 
     def reprojection_errors(self, unit: _names.ErrorUnit = "pixels") -> Doubles:
@@ -1341,7 +1429,7 @@ class Problem:
 
 def _required(values: npt.ArrayLike | None, name: str) -> npt.ArrayLike:
     if values is None:
-        raise TypeError(f"{name} is None, but priors need it")
+        raise TypeError(f"{name} is None, but it is needed")
     return values
 
 
