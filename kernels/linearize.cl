@@ -86,6 +86,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                       global const WIDE* restrict point_scale,  // 3 rows, 0: constant; or NULL
                       global REAL* restrict rows,
                       global WIDE* restrict run_sums,  // of runs: gradient, then diagonal
+                      int first_sum,                   // where they begin, counted in one of the two
                       int point_capacity, global WIDE* restrict point_sums,
                       global REAL* restrict point_roots,     // L of V = L L^T: 6 rows, like V
                       global REAL* restrict point_gradient,  // 3 rows
@@ -244,7 +245,7 @@ KERNEL void linearize(TILES, int stages, int num_tiles,
                 sums[7 * point_capacity + i] += e1 * rx + h1 * ry;
                 sums[8 * point_capacity + i] += e2 * rx + h2 * ry;
             }
-            global WIDE* of_run = run_sums + 2 * COLUMNS * (long)run;
+            global WIDE* of_run = run_sums + 2 * (first_sum + COLUMNS * (long)run);
 #pragma unroll
             for (int k = 0; k < COLUMNS; ++k) {
                 const WIDE of_gradient = GROUP_SUM(sum[k], scratch);

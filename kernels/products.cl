@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Products with the Jacobian J = [J_F, J_E] (jacobian.clh): one work-group a tile. Vectors of the F
 // side (poses and intrinsics) are WIDE, of the E side (points) 3 rows of REAL over the point slots.
-// What a run adds to its image's part of an F vector goes to run_sums, COLUMNS a run, for
-// reduce_runs to add up in a fixed order.
+// What a run adds to its image's part of an F vector goes to run_sums, COLUMNS a run from first_sum,
+// for reduce_runs to add up in a fixed order.
 #include "lanes.clh"
 #include "tiles.clh"
 #include "jacobian.clh"
@@ -48,7 +48,7 @@ KERNEL void jx(TILES, IMAGES, global const REAL* restrict rows, global const WID
 // Writers: group t alone writes the sums of its runs and x_E of its points.
 KERNEL void jty(TILES, global const WIDE* restrict images, global const REAL* restrict rows,
                 global const REAL* restrict y, global REAL* restrict x_e,
-                global REAL* restrict run_sums, local WIDE* scratch) {
+                global REAL* restrict run_sums, int first_sum, local WIDE* scratch) {
     const int tile = get_group_id(0);
     global REAL* xe0 = x_e + tile_points[tile];
     global REAL* xe1 = xe0 + num_point_slots;
@@ -77,7 +77,7 @@ KERNEL void jty(TILES, global const WIDE* restrict images, global const REAL* re
 #pragma unroll
         for (int k = 0; k < COLUMNS; ++k) {
             const REAL total = (REAL)GROUP_SUM(sum[k], scratch);
-            if (IS_FIRST_LANE) run_sums[COLUMNS * run + k] = total;
+            if (IS_FIRST_LANE) run_sums[first_sum + COLUMNS * run + k] = total;
         }
     }
 }
@@ -144,7 +144,7 @@ KERNEL void schur_product(TILES, int stages, IMAGES, global const REAL* restrict
                           global const WIDE* restrict x_f,
                           global const REAL* restrict point_factors,  // G, 6 rows
                           global REAL* restrict points, global REAL* restrict run_sums,
-                          local WIDE* scratch) {
+                          int first_sum, local WIDE* scratch) {
     const int tile = get_group_id(0);
     const int num_points = tile_num_points[tile];
     const rows_t u = rows_of(points, tile_points[tile], num_point_slots);
@@ -183,7 +183,7 @@ KERNEL void schur_product(TILES, int stages, IMAGES, global const REAL* restrict
 #pragma unroll
         for (int k = 0; k < COLUMNS; ++k) {
             const REAL total = (REAL)GROUP_SUM(sum[k], scratch);
-            if (IS_FIRST_LANE) run_sums[COLUMNS * run + k] = total;
+            if (IS_FIRST_LANE) run_sums[first_sum + COLUMNS * run + k] = total;
         }
     }
 }

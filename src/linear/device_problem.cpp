@@ -142,6 +142,7 @@ void DeviceProblem::upload_structure(const Problem& problem) {
         upload_point_scales(problem, chunk, device_chunk);
         for (const Segment& segment : chunk.segments)
             device_chunk.segments.push_back(upload_segment(segment));
+        upload_blocks(chunk, device_chunk);
         chunks_.push_back(std::move(device_chunk));
     }
     upload_all_measurements(problem);
@@ -188,25 +189,46 @@ DeviceSegment DeviceProblem::upload_segment(const Segment& segment) {
     device_segment.num_columns = segment.num_columns();
     device_segment.num_runs = segment.num_runs();
     device_segment.num_slots = segment.num_slots();
-    device_segment.num_blocks = static_cast<int32_t>(segment.block.size());
     device_segment.tile_runs = Buffer(queue_, segment.tile_runs, "runs");
     device_segment.run_image = Buffer(queue_, segment.run_image, "runs");
     device_segment.run_slots = Buffer(queue_, segment.run_slots, "runs");
     device_segment.slot_point = Buffer(queue_, segment.slot_point, "observations' points");
-
-    std::vector<int32_t> offset, size, matrix;
-    for (int32_t block : segment.block) {
-        offset.push_back(image_layout().blocks[block].offset);
-        size.push_back(image_layout().blocks[block].size);
-        matrix.push_back(image_layout().blocks[block].matrix);
-    }
-    device_segment.block_offset = Buffer(queue_, offset, "block offsets");
-    device_segment.block_size = Buffer(queue_, size, "block sizes");
-    device_segment.matrix_offset = Buffer(queue_, matrix, "matrix offsets");
-    device_segment.block_column = Buffer(queue_, segment.block_column, "block columns");
-    device_segment.block_runs = Buffer(queue_, segment.block_runs, "block runs");
-    device_segment.runs = Buffer(queue_, segment.runs, "block runs");
     return device_segment;
+}
+
+void DeviceProblem::upload_blocks(const Chunk& chunk, DeviceChunk& device_chunk) {
+    std::vector<int32_t> offset, size, column, num_columns, first_sum, first_run{0}, runs, matrix;
+    int32_t next_sum = 0;
+    for (size_t s = 0; s < chunk.segments.size(); ++s) {
+        const Segment& segment = chunk.segments[s];
+        DeviceSegment& device_segment = device_chunk.segments[s];
+        device_segment.first_block = static_cast<int32_t>(offset.size());
+        device_segment.num_blocks = static_cast<int32_t>(segment.block.size());
+        device_segment.first_sum = next_sum;
+        for (size_t b = 0; b < segment.block.size(); ++b) {
+            const ParameterBlock& block = image_layout().blocks[segment.block[b]];
+            offset.push_back(block.offset);
+            size.push_back(block.size);
+            matrix.push_back(block.matrix);
+            column.push_back(segment.block_column[b]);
+            num_columns.push_back(segment.num_columns());
+            first_sum.push_back(next_sum);
+            runs.insert(runs.end(), segment.runs.begin() + segment.block_runs[b],
+                        segment.runs.begin() + segment.block_runs[b + 1]);
+            first_run.push_back(static_cast<int32_t>(runs.size()));
+        }
+        next_sum += segment.num_runs() * segment.num_columns();
+    }
+    DeviceBlocks& blocks = device_chunk.blocks;
+    blocks.num = static_cast<int32_t>(offset.size());
+    blocks.offset = Buffer(queue_, offset, "block offsets");
+    blocks.size = Buffer(queue_, size, "block sizes");
+    blocks.column = Buffer(queue_, column, "block columns");
+    blocks.num_columns = Buffer(queue_, num_columns, "block columns");
+    blocks.first_sum = Buffer(queue_, first_sum, "block runs");
+    blocks.first_run = Buffer(queue_, first_run, "block runs");
+    blocks.runs = Buffer(queue_, runs, "block runs");
+    blocks.matrix_offset = Buffer(queue_, matrix, "matrix offsets");
 }
 
 void DeviceProblem::upload_measurements(const Problem& problem, const Segment& segment,

@@ -20,11 +20,18 @@ namespace clba {
 struct DeviceSegment {
     int32_t model = 0;
     int32_t num_columns = 0;
-    int32_t num_runs = 0, num_slots = 0, num_blocks = 0;
+    int32_t num_runs = 0, num_slots = 0;
+    int32_t first_block = 0, num_blocks = 0;  // of its chunk's
+    int32_t first_sum = 0;  // of its runs: num_columns a run, those of earlier segments before them
     Buffer tile_runs, run_image, run_slots, slot_point;
     Buffer xy;         // run by run, 2 rows of its slots
     Buffer whitening;  // run by run, 3 rows of its slots; only if there are covariances
-    Buffer block_offset, block_size, block_column, block_runs, runs, matrix_offset;
+};
+
+// The parameter blocks that runs add to, segment by segment (kernels/reduce.cl).
+struct DeviceBlocks {
+    int32_t num = 0;
+    Buffer offset, size, column, num_columns, first_sum, first_run, runs, matrix_offset;
 };
 
 struct DeviceChunk {
@@ -34,6 +41,7 @@ struct DeviceChunk {
     Buffer tile_points, tile_num_points;
     Buffer point_scale;  // 3 rows; only if a point is constant or has an uncertainty
     std::vector<DeviceSegment> segments;
+    DeviceBlocks blocks;
     const Buffer* point_scale_or_null() const { return point_scale ? &point_scale : nullptr; }
 };
 
@@ -171,6 +179,7 @@ private:
     Buffer upload_wide(const std::vector<double>& values, const char* label);
     void upload_structure(const Problem& problem);
     DeviceSegment upload_segment(const Segment& segment);
+    void upload_blocks(const Chunk& chunk, DeviceChunk& device_chunk);
     void upload_measurements(const Problem& problem, const Segment& segment,
                              DeviceSegment& device_segment);
     void upload_point_scales(const Problem& problem, const Chunk& chunk, DeviceChunk& device_chunk);

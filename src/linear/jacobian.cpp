@@ -15,26 +15,24 @@ constexpr int all_stages = zero_stage | forward_stage | points_stage | backward_
 
 constexpr int sums_per_tile = 3;
 
-// The largest sums of a run: those of a gradient and a diagonal, or of the triangle of a block.
-uint64_t run_sums_bytes(int columns, Precision precision) {
-    const auto n = static_cast<uint64_t>(columns);
-    return std::max(2 * n * wide_bytes(precision), n * (n + 1) / 2 * real_bytes(precision));
-}
-
 }  // namespace
 
 Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
     : problem_(problem),
       queue_(problem.queue()),
       form_(form),
-      has_loss_(loss.kind != LossKind::none) {
+      has_loss_(loss.kind != LossKind::none),
+      sums_options_(text(precision_defines(problem.precision()),
+                         " -DRUN_REAL=", real_type(problem.precision()))),
+      wide_sums_options_(text(precision_defines(problem.precision()),
+                              " -DRUN_PARTS=2 -DRUN_REAL=", wide_type(problem.precision()))) {
     const size_t bytes = real_bytes(problem.precision());
     int most_tiles = 0;
     uint64_t most_sums = 0;
     for (const DeviceChunk& chunk : problem.chunks()) {
         most_tiles += 2 * chunk.num_tiles * static_cast<int>(chunk.segments.size());
+        uint64_t wide_sums = 0;
         for (const DeviceSegment& segment : chunk.segments) {
-            segments_.push_back(&segment);
             programs_.push_back(programs_of(segment));
             const CameraModel& model = camera_models[segment.model];
             const int rows = form == JacobianForm::stored
@@ -44,10 +42,13 @@ Jacobian::Jacobian(DeviceProblem& problem, JacobianForm form, const Loss& loss)
                 queue_,
                 static_cast<uint64_t>(segment.num_slots) * static_cast<uint64_t>(rows) * bytes,
                 "the Jacobian");
-            most_sums =
-                std::max(most_sums, static_cast<uint64_t>(segment.num_runs) *
-                                        run_sums_bytes(segment.num_columns, problem.precision()));
+            // A gradient and a diagonal of all segments, or the triangle of a block of one.
+            const auto n = static_cast<uint64_t>(segment.num_columns);
+            const auto runs = static_cast<uint64_t>(segment.num_runs);
+            wide_sums += 2 * n * runs * wide_bytes(problem.precision());
+            most_sums = std::max(most_sums, n * (n + 1) / 2 * runs * bytes);
         }
+        most_sums = std::max(most_sums, wide_sums);
     }
     point_real_ = problem.make_point_rows(3, bytes, "points in products");
     run_sums_ = Buffer(queue_, most_sums, "sums of runs");
@@ -66,10 +67,6 @@ Jacobian::Programs Jacobian::programs_of(const DeviceSegment& segment) const {
                          segment.whitening ? 3
                          : has_loss_       ? 1
                                            : 0);
-    programs.run_sums =
-        text(common, " -DRUN_VALUES=", columns, " -DRUN_REAL=", real_type(precision));
-    programs.wide_run_sums =
-        text(common, " -DRUN_VALUES=", 2 * columns, " -DRUN_REAL=", wide_type(precision));
     programs.run_blocks = text(common, " -DCOLUMNS=", columns);
     return programs;
 }
@@ -82,20 +79,21 @@ void Jacobian::for_each_segment(Visit&& visit) {
             visit(problem_.chunks()[c], segment, c, index++);
 }
 
-void Jacobian::reduce(Step step, const DeviceSegment& segment, const std::string& options,
-                      int first_value, Buffer& f) {
-    queue_.launch(step, queue_.kernel("reduce.cl", "reduce_runs", options), segment.num_blocks,
-                  segment.block_offset, segment.block_size, segment.block_column,
-                  segment.block_runs, segment.runs, first_value, run_sums_, f);
+void Jacobian::reduce(Step step, const DeviceChunk& chunk, const std::string& options, int part,
+                      Buffer& f) {
+    const DeviceBlocks& blocks = chunk.blocks;
+    if (blocks.num == 0) return;
+    queue_.launch(step, queue_.kernel("reduce.cl", "reduce_runs", options), blocks.num,
+                  blocks.offset, blocks.size, blocks.column, blocks.num_columns, blocks.first_sum,
+                  blocks.first_run, blocks.runs, part, run_sums_, f);
 }
 
-void Jacobian::reduce_runs(Step step, size_t segment, Buffer& f) {
-    reduce(step, *segments_[segment], programs_[segment].run_sums, 0, f);
+void Jacobian::reduce_runs(Step step, const DeviceChunk& chunk, Buffer& f) {
+    reduce(step, chunk, sums_options_, 0, f);
 }
 
-void Jacobian::reduce_wide_runs(size_t segment, bool is_second, Buffer& f) {
-    const DeviceSegment& of = *segments_[segment];
-    reduce(Step::jacobian, of, programs_[segment].wide_run_sums, is_second ? of.num_columns : 0, f);
+void Jacobian::reduce_wide_runs(const DeviceChunk& chunk, bool is_second, Buffer& f) {
+    reduce(Step::jacobian, chunk, wide_sums_options_, is_second ? 1 : 0, f);
 }
 
 std::vector<Buffer>& Jacobian::product() {
@@ -150,22 +148,26 @@ void Jacobian::add_transposed(Vector& x) {
     for (Buffer& e : point_real_) e.fill_zero();
     product();
     add_of_images(x.f, [&](Buffer& f) {
-        for_each_segment(
-            [&](const DeviceChunk& chunk, const DeviceSegment& segment, size_t c, size_t i) {
+        size_t i = 0;
+        for (size_t c = 0; c < point_real_.size(); ++c) {
+            const DeviceChunk& chunk = problem_.chunks()[c];
+            for (const DeviceSegment& segment : chunk.segments) {
                 problem_.launch(Step::jty, "products.cl", "jty", defines(i), chunk, segment,
                                 problem_.state.image_records, rows_[i], product_[i], point_real_[c],
-                                run_sums_, queue_.scratch());
-                reduce_runs(Step::jty, i, f);
-            });
+                                run_sums_, segment.first_sum, queue_.scratch());
+                ++i;
+            }
+            reduce_runs(Step::jty, chunk, f);
+        }
     });
     for (size_t c = 0; c < x.e.size(); ++c) problem_.vectors().add_real(point_real_[c], x.e[c]);
 }
 
-// launch(stages, chunk, segment, c, i). The points of a chunk must have seen all of its segments
-// before any goes through backward_stage: the last segment does all stages at once, the others go
-// before it and again after it.
-template <class Launch>
-void Jacobian::launch_in_stages(Launch&& launch) {
+// launch(stages, chunk, segment, c, i), then finish(chunk). The points of a chunk must have seen
+// all of its segments before any goes through backward_stage: the last segment does all stages at
+// once, the others go before it and again after it.
+template <class Launch, class Finish>
+void Jacobian::launch_in_stages(Launch&& launch, Finish&& finish) {
     size_t first = 0;
     for (size_t c = 0; c < problem_.chunks().size(); ++c) {
         const DeviceChunk& chunk = problem_.chunks()[c];
@@ -176,6 +178,7 @@ void Jacobian::launch_in_stages(Launch&& launch) {
                    chunk, chunk.segments[s], c, first + s);
         for (size_t s = 0; s + 1 < n; ++s)
             launch(backward_stage, chunk, chunk.segments[s], c, first + s);
+        finish(chunk);
         first += n;
     }
 }
@@ -185,16 +188,17 @@ void Jacobian::schur_stages(int stages, const Vector& x, const std::vector<Buffe
                             Vector& y) {
     const Buffer& of_x = of_images(x.f);
     add_of_images(y.f, [&](Buffer& f) {
-        launch_in_stages([&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment,
-                             size_t c, size_t i) {
-            const int wanted = stages & of_segment;
-            if (wanted == 0) return;
-            problem_.launch(Step::schur, "products.cl", "schur_product", defines(i), chunk, segment,
-                            wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
-                            problem_.state.image_records, rows_[i], of_x, point_factors[c],
-                            point_real_[c], run_sums_, queue_.scratch());
-            if (wanted & backward_stage) reduce_runs(Step::schur, i, f);
-        });
+        launch_in_stages(
+            [&](int of_segment, const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
+                size_t i) {
+                const int wanted = stages & of_segment;
+                if (wanted == 0) return;
+                problem_.launch(Step::schur, "products.cl", "schur_product", defines(i), chunk,
+                                segment, wanted, problem_.pose_offsets, problem_.intrinsics_offsets,
+                                problem_.state.image_records, rows_[i], of_x, point_factors[c],
+                                point_real_[c], run_sums_, segment.first_sum, queue_.scratch());
+            },
+            [&](const DeviceChunk& chunk) { reduce_runs(Step::schur, chunk, f); });
     });
 }
 
@@ -215,16 +219,18 @@ BackSubstitution Jacobian::back_substitute(const Vector& step,
                                            const std::vector<Buffer>& point_factors) {
     int32_t num_tiles = 0;
     const Buffer& of_step = of_images(step.f);
-    launch_in_stages([&](int stages, const DeviceChunk& chunk, const DeviceSegment& segment,
-                         size_t c, size_t i) {
-        problem_.launch(Step::schur, "products.cl", "back_substitute", defines(i), chunk, segment,
-                        stages, problem_.pose_offsets, problem_.intrinsics_offsets,
-                        problem_.state.image_records, rows_[i], of_step, point_factors[c],
-                        point_gradient[c], problem_.state.points[c], point_real_[c],
-                        problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
-        // A later stage of the same segment takes up where an earlier one left the points.
-        num_tiles += chunk.num_tiles;
-    });
+    launch_in_stages(
+        [&](int stages, const DeviceChunk& chunk, const DeviceSegment& segment, size_t c,
+            size_t i) {
+            problem_.launch(Step::schur, "products.cl", "back_substitute", defines(i), chunk,
+                            segment, stages, problem_.pose_offsets, problem_.intrinsics_offsets,
+                            problem_.state.image_records, rows_[i], of_step, point_factors[c],
+                            point_gradient[c], problem_.state.points[c], point_real_[c],
+                            problem_.trial.points[c], num_tiles, tile_sums_, queue_.scratch());
+            // A later stage of the same segment takes up where an earlier one left the points.
+            num_tiles += chunk.num_tiles;
+        },
+        [](const DeviceChunk&) {});
     BackSubstitution result;
     const auto n = static_cast<size_t>(sums_per_tile * num_tiles);
     problem_.read_wide(tile_sums_, host_sums_, n);
@@ -248,9 +254,9 @@ void Jacobian::sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer
                             queue_.scratch());
             queue_.launch(Step::preconditioner,
                           queue_.kernel("reduce.cl", "reduce_run_blocks", programs_[i].run_blocks),
-                          segment.num_blocks, segment.block_size, segment.block_column,
-                          segment.block_runs, segment.runs, segment.matrix_offset, run_sums_,
-                          of_images);
+                          segment.num_blocks, segment.first_block, chunk.blocks.size,
+                          chunk.blocks.column, chunk.blocks.first_run, chunk.blocks.runs,
+                          chunk.blocks.matrix_offset, run_sums_, of_images);
         });
     if (rigs) rigs->transform_blocks(matrices);
 }

@@ -67,11 +67,11 @@ public:
     // reference/bundle.hpp, schur_diagonal_blocks).
     void schur_blocks(const std::vector<Buffer>& point_factors, Buffer& blocks);
 
-    // Sums of a segment's runs, which reduce_runs adds to an F vector: REALs, as many a run as the
+    // Sums of a chunk's runs, which reduce_runs adds to an F vector: REALs, as many a run as its
     // segment has columns, or WIDEs, twice as many, of which the second half if is_second.
     Buffer& run_sums() { return run_sums_; }
-    void reduce_runs(Step step, size_t segment, Buffer& f);
-    void reduce_wide_runs(size_t segment, bool is_second, Buffer& f);
+    void reduce_runs(Step step, const DeviceChunk& chunk, Buffer& f);
+    void reduce_wide_runs(const DeviceChunk& chunk, bool is_second, Buffer& f);
 
 private:
     template <class Visit>
@@ -79,30 +79,30 @@ private:
     const Buffer& of_images(const Buffer& f);
     template <class Add>
     void add_of_images(Buffer& f, Add&& add);
-    template <class Launch>
-    void launch_in_stages(Launch&& launch);
+    template <class Launch, class Finish>
+    void launch_in_stages(Launch&& launch, Finish&& finish);
     void schur_stages(int stages, const Vector& x, const std::vector<Buffer>& point_factors,
                       Vector& y);
     void sum_image_blocks(const std::vector<Buffer>* point_factors, Buffer& matrices);
 
     // Options of programs for a segment.
     struct Programs {
-        std::string rows, run_sums, wide_run_sums, run_blocks;
+        std::string rows, run_blocks;
     };
     Programs programs_of(const DeviceSegment& segment) const;
-    void reduce(Step step, const DeviceSegment& segment, const std::string& options,
-                int first_value, Buffer& f);
+    void reduce(Step step, const DeviceChunk& chunk, const std::string& options, int part,
+                Buffer& f);
 
     DeviceProblem& problem_;
     Queue& queue_;
     JacobianForm form_;
     bool has_loss_;
-    std::vector<const DeviceSegment*> segments_;  // of all chunks
-    std::vector<Programs> programs_;
+    std::string sums_options_, wide_sums_options_;  // of reduce_runs
+    std::vector<Programs> programs_;                // of the segments of all chunks
     std::vector<Buffer> rows_;
     std::vector<Buffer> product_;     // made when it is first asked for
     std::vector<Buffer> point_real_;  // 3 rows of REAL a chunk
-    Buffer run_sums_;                 // of one segment at a time
+    Buffer run_sums_;                 // of one chunk at a time
     Buffer tile_sums_;
     std::vector<double> host_sums_;
 };

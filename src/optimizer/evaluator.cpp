@@ -100,15 +100,16 @@ void Evaluator::linearize(NormalEquations& equations) {
                 chunk.num_tiles, segment.xy, segment.whitening ? &segment.whitening : nullptr,
                 problem_.state.image_records, problem_.state.points[c], loss_.scale,
                 chunk.point_scale_or_null(), jacobian.rows()[index], jacobian.run_sums(),
-                point_capacity_, point_sums_, equations.point_roots[c], equations.point_gradient[c],
+                segment.first_sum, point_capacity_, point_sums_, equations.point_roots[c],
+                equations.point_gradient[c],
                 equations.wide_point_gradient.empty() ? nullptr : &equations.wide_point_gradient[c],
                 points ? points->num_priors : 0, points ? &points->prior_of_slot : nullptr,
                 points ? &points->values : nullptr, chunk.first_tile, equations.tile_max,
                 queue_.scratch());
-            jacobian.reduce_wide_runs(index, false, gradient);
-            if (!rigs) jacobian.reduce_wide_runs(index, true, equations.diagonal.f);
             ++index;
         }
+        jacobian.reduce_wide_runs(chunk, false, gradient);
+        if (!rigs) jacobian.reduce_wide_runs(chunk, true, equations.diagonal.f);
     }
     if (rigs) {
         rigs->gather(equations.gradient.f);

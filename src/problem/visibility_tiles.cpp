@@ -237,19 +237,19 @@ private:
     bool fits(int64_t point_slots, const std::vector<Share>& shares) const {
         uint64_t largest = static_cast<uint64_t>(point_slots) * 6 * sizeof(double);  // V
         int64_t most_slots = point_slots;
+        int64_t run_sums = 0;
         for (size_t s = 0; s < shares.size(); ++s) {
             const int64_t columns = num_pose_params + camera_models[models_.numbers[s]].num_params;
             const int64_t jacobian =
                 shares[s].num_slots * (2 * columns + 6) * options_.bytes_per_value;
             const int64_t whitening =
                 shares[s].num_slots * 3 * static_cast<int64_t>(sizeof(double));
-            // A gradient and a diagonal, or the triangle of a block.
-            const int64_t run_sums =
-                shares[s].num_runs *
-                std::max<int64_t>(2 * columns * static_cast<int64_t>(sizeof(double)),
-                                  columns * (columns + 1) / 2 * options_.bytes_per_value);
-            largest =
-                std::max(largest, static_cast<uint64_t>(std::max({jacobian, whitening, run_sums})));
+            // A gradient and a diagonal of all segments, or the triangle of a block of one.
+            run_sums += shares[s].num_runs * 2 * columns * static_cast<int64_t>(sizeof(double));
+            const int64_t run_blocks =
+                shares[s].num_runs * columns * (columns + 1) / 2 * options_.bytes_per_value;
+            largest = std::max(largest, static_cast<uint64_t>(
+                                            std::max({jacobian, whitening, run_sums, run_blocks})));
             most_slots = std::max(most_slots, shares[s].num_slots);
         }
         return largest <= options_.max_buffer_bytes &&
