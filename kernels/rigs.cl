@@ -7,11 +7,7 @@
 #define LANE_WIDTH 8
 #include "lanes.clh"
 #include "positions.clh"
-#ifdef NO_DOUBLE
-#define POSE_VALUES 10
-#else
-#define POSE_VALUES 7
-#endif
+#include "poses.clh"
 #define SENSOR_RECORD 12  // R row-major, t
 
 static inline void turn(global const WIDE* r, const WIDE* x, WIDE* y) {
@@ -20,19 +16,6 @@ static inline void turn(global const WIDE* r, const WIDE* x, WIDE* y) {
 
 static inline void turn_back(global const WIDE* r, const WIDE* x, WIDE* y) {
     for (int k = 0; k < 3; ++k) y[k] = r[k] * x[0] + r[3 + k] * x[1] + r[6 + k] * x[2];
-}
-
-static inline void rotation_of(global const WIDE* q, WIDE* r) {
-    const WIDE w = q[0], x = q[1], y = q[2], z = q[3];
-    r[0] = 1 - 2 * (y * y + z * z);
-    r[1] = 2 * (x * y - w * z);
-    r[2] = 2 * (x * z + w * y);
-    r[3] = 2 * (x * y + w * z);
-    r[4] = 1 - 2 * (x * x + z * z);
-    r[5] = 2 * (y * z - w * x);
-    r[6] = 2 * (x * z - w * y);
-    r[7] = 2 * (y * z + w * x);
-    r[8] = 1 - 2 * (x * x + y * y);
 }
 
 // Writers: one sensor each.

@@ -9,11 +9,7 @@
 #include "lanes.clh"
 #include "tiles.clh"
 #include "positions.clh"
-#ifdef NO_DOUBLE
-#define POSE_VALUES 10
-#else
-#define POSE_VALUES 7
-#endif
+#include "poses.clh"
 
 // What kernels over observations read of an image (tiles.clh).
 KERNEL void image_records(int num_images, global const WIDE* restrict poses,
@@ -23,17 +19,11 @@ KERNEL void image_records(int num_images, global const WIDE* restrict poses,
     const int end = share_end(num_images);
     LANES(i, share_begin(num_images), end) {
         global const WIDE* pose = poses + POSE_VALUES * i;
-        const WIDE w = pose[0], x = pose[1], y = pose[2], z = pose[3];
         global WIDE* out = records + IMAGE_RECORD * i;
-        out[0] = 1 - 2 * (y * y + z * z);
-        out[1] = 2 * (x * y - w * z);
-        out[2] = 2 * (x * z + w * y);
-        out[3] = 2 * (x * y + w * z);
-        out[4] = 1 - 2 * (x * x + z * z);
-        out[5] = 2 * (y * z - w * x);
-        out[6] = 2 * (x * z - w * y);
-        out[7] = 2 * (y * z + w * x);
-        out[8] = 1 - 2 * (x * x + y * y);
+        WIDE r[9];
+        rotation_of(pose, r);
+#pragma unroll
+        for (int k = 0; k < 9; ++k) out[k] = r[k];
         out[9] = pose[4];
         out[10] = pose[5];
         out[11] = pose[6];

@@ -2,7 +2,7 @@
 // Priors of poses, intrinsics and points.
 #include <cmath>
 
-#include "api/handles.hpp"
+#include "api/numbers.hpp"
 #include "reference/bundle.hpp"
 
 namespace clba {
@@ -47,25 +47,8 @@ private:
     std::vector<int32_t> row_of_;
 };
 
-template <size_t size>
-std::array<double, size> read_values(const Rows<const double>& rows, int32_t i, const char* name) {
-    std::array<double, size> values;
-    for (size_t k = 0; k < size; ++k) {
-        values[k] = rows.get(i, k);
-        require(std::isfinite(values[k]), name, "[", i, "][", k, "] = ", values[k],
-                ", but it must be finite");
-    }
-    return values;
-}
-
-Pose pose_of(const std::array<double, 7>& values, const char* name, int32_t i) {
-    Pose pose;
-    std::copy_n(values.begin(), 4, pose.rotation.begin());
-    std::copy_n(values.begin() + 4, 3, pose.translation.begin());
-    double norm2 = 0;
-    for (double q : pose.rotation) norm2 += q * q;
-    require(norm2 > 0 && std::isfinite(norm2), name, "[", i, "] has a quaternion of squared norm ",
-            norm2, ", but it must be one that can be normalised");
+Pose read_target(const Rows<const double>& rows, int32_t i) {
+    Pose pose = read_pose(rows, i, "poses");
     pose.rotation = normalized(pose.rotation);
     return pose;
 }
@@ -117,6 +100,20 @@ std::array<double, n * n> whitening_of(const Rows<const double>& covariances, in
     return whitening;
 }
 
+// Priors of positions: images' centres, or points.
+template <class Prior>
+std::vector<Prior> read_positions(Subjects subjects, int32_t count, const double* positions,
+                                  size_t positions_stride, const double* covariances,
+                                  size_t covariances_stride) {
+    const Rows targets(positions, positions_stride, 3, "positions", count);
+    const Rows rows(covariances, covariances_stride, 9, "covariances", count);
+    std::vector<Prior> priors(static_cast<size_t>(count));
+    for (int32_t i = 0; i < count; ++i)
+        priors[i] = {subjects.get(i), read_finite<3>(targets, i, "positions"),
+                     whitening_of<3>(rows, i)};
+    return priors;
+}
+
 // The rows of a caller's array that differ in length: without gaps if the stride is 0.
 class RaggedRows {
 public:
@@ -149,14 +146,9 @@ clba_status clba_problem_set_position_priors(clba_problem* problem, int32_t coun
                                              const double* positions, size_t positions_stride,
                                              const double* covariances, size_t covariances_stride) {
     return replaced(problem, count, [&](Problem& p) {
-        Subjects subjects(images, images_stride, "images", count, p.num_images(), "num_images");
-        const Rows targets(positions, positions_stride, 3, "positions", count);
-        const Rows rows(covariances, covariances_stride, 9, "covariances", count);
-        std::vector<PositionPrior> priors(static_cast<size_t>(count));
-        for (int32_t i = 0; i < count; ++i)
-            priors[i] = {subjects.get(i), read_values<3>(targets, i, "positions"),
-                         whitening_of<3>(rows, i)};
-        p.priors.positions = std::move(priors);
+        p.priors.positions = read_positions<PositionPrior>(
+            Subjects(images, images_stride, "images", count, p.num_images(), "num_images"), count,
+            positions, positions_stride, covariances, covariances_stride);
     });
 }
 
@@ -170,8 +162,7 @@ clba_status clba_problem_set_pose_priors(clba_problem* problem, int32_t count,
         const Rows rows(covariances, covariances_stride, 36, "covariances", count);
         std::vector<PosePrior> priors(static_cast<size_t>(count));
         for (int32_t i = 0; i < count; ++i)
-            priors[i] = {subjects.get(i), pose_of(read_values<7>(targets, i, "poses"), "poses", i),
-                         whitening_of<6>(rows, i)};
+            priors[i] = {subjects.get(i), read_target(targets, i), whitening_of<6>(rows, i)};
         p.priors.poses = std::move(priors);
     });
 }
@@ -210,14 +201,9 @@ clba_status clba_problem_set_point_priors(clba_problem* problem, int32_t count,
                                           const double* positions, size_t positions_stride,
                                           const double* covariances, size_t covariances_stride) {
     return replaced(problem, count, [&](Problem& p) {
-        Subjects subjects(points, points_stride, "points", count, p.num_points(), "num_points");
-        const Rows targets(positions, positions_stride, 3, "positions", count);
-        const Rows rows(covariances, covariances_stride, 9, "covariances", count);
-        std::vector<PointPrior> priors(static_cast<size_t>(count));
-        for (int32_t i = 0; i < count; ++i)
-            priors[i] = {subjects.get(i), read_values<3>(targets, i, "positions"),
-                         whitening_of<3>(rows, i)};
-        p.priors.points = std::move(priors);
+        p.priors.points = read_positions<PointPrior>(
+            Subjects(points, points_stride, "points", count, p.num_points(), "num_points"), count,
+            positions, positions_stride, covariances, covariances_stride);
     });
 }
 
@@ -235,8 +221,7 @@ clba_status clba_problem_set_relative_pose_priors(clba_problem* problem, int32_t
             for (size_t k = 0; k < 2; ++k)
                 require(images.get(i, k) >= 0 && images.get(i, k) < p.num_images(), "pairs[", i,
                         "][", k, "] = ", images.get(i, k), ", but num_images = ", p.num_images());
-            priors[i] = {images.get(i, 0), images.get(i, 1),
-                         pose_of(read_values<7>(targets, i, "poses"), "poses", i),
+            priors[i] = {images.get(i, 0), images.get(i, 1), read_target(targets, i),
                          whitening_of<6>(rows, i)};
             require(priors[i].first != priors[i].second, "pairs[", i, "] = (", priors[i].first,
                     ", ", priors[i].second, "), but a relative pose is that of two images");

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <limits>
 
-#include "api/handles.hpp"
+#include "api/numbers.hpp"
 #include "problem/parameter_layout.hpp"
 #include "reference/compare.hpp"
 #include "reference/scene.hpp"
@@ -56,18 +56,8 @@ std::vector<Image> read_images(const Problem& p, int32_t count, const int32_t* c
         image.camera = cameras.get(i);
         require(image.camera >= 0 && image.camera < p.num_cameras(), "camera_indices[", i,
                 "] = ", image.camera, ", but num_cameras = ", p.num_cameras());
-        for (size_t k = 0; k < 7; ++k) {
-            const double value = rows.get(i, k);
-            require(std::isfinite(value), "poses[", i, "][", k, "] = ", value,
-                    ", but it must be finite");
-            (k < 4 ? image.pose.rotation[k] : image.pose.translation[k - 4]) = value;
-        }
-        const auto& q = image.pose.rotation;
-        const double norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-        require(norm2 > 0 && std::isfinite(norm2), "poses[", i,
-                "] has a quaternion of squared norm ", norm2,
-                ", but it must be one that can be normalised");
-        image.pose.rotation = normalized(q);
+        image.pose = read_pose(rows, i, "poses");
+        image.pose.rotation = normalized(image.pose.rotation);
     }
     return images;
 }
@@ -76,13 +66,7 @@ std::vector<Point> read_points(int32_t count, const double* xyz, size_t stride) 
     require(count >= 0, "count = ", count, ", but it must be >= 0");
     const Rows rows(xyz, stride, 3, "xyz", count);
     std::vector<Point> points(static_cast<size_t>(count));
-    for (int32_t i = 0; i < count; ++i) {
-        for (size_t k = 0; k < 3; ++k) {
-            points[i][k] = rows.get(i, k);
-            require(std::isfinite(points[i][k]), "xyz[", i, "][", k, "] = ", points[i][k],
-                    ", but it must be finite");
-        }
-    }
+    for (int32_t i = 0; i < count; ++i) points[i] = read_finite<3>(rows, i, "xyz");
     return points;
 }
 
@@ -479,9 +463,7 @@ clba_status clba_problem_get_images(const clba_problem* problem, int32_t first, 
         for (int32_t i = 0; i < count; ++i) {
             const Image& image = p.images[first + i];
             if (camera_indices) cameras.set(i, 0, image.camera);
-            if (!poses) continue;
-            for (size_t k = 0; k < 4; ++k) rows.set(i, k, image.pose.rotation[k]);
-            for (size_t k = 0; k < 3; ++k) rows.set(i, 4 + k, image.pose.translation[k]);
+            if (poses) write_pose(image.pose, rows, i);
         }
     });
 }

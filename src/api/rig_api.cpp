@@ -3,7 +3,7 @@
 #include <cmath>
 #include <utility>
 
-#include "api/handles.hpp"
+#include "api/numbers.hpp"
 #include "problem/parameter_layout.hpp"
 
 namespace clba {
@@ -19,17 +19,9 @@ std::vector<Pose> read_poses(const double* values, int32_t count, const char* na
     const Rows rows(values, 0, 7, name, count);
     std::vector<Pose> poses(static_cast<size_t>(count));
     for (int32_t i = 0; i < count; ++i) {
+        poses[i] = read_pose(rows, i, name);
         double norm2 = 0;
-        for (size_t k = 0; k < 7; ++k) {
-            const double value = rows.get(i, k);
-            require(std::isfinite(value), name, "[", i, "][", k, "] = ", value,
-                    ", but it must be finite");
-            (k < 4 ? poses[i].rotation[k] : poses[i].translation[k - 4]) = value;
-            if (k < 4) norm2 += value * value;
-        }
-        require(norm2 > 0 && std::isfinite(norm2), name, "[", i,
-                "] has a quaternion of squared norm ", norm2,
-                ", but it must be one that can be normalised");
+        for (double q : poses[i].rotation) norm2 += q * q;
         // What is of length 1 but for rounding keeps its bits.
         if (std::abs(norm2 - 1) > 1e-15) poses[i].rotation = normalized(poses[i].rotation);
     }
@@ -83,11 +75,7 @@ void copy_poses(const std::vector<Pose>& poses, const std::vector<uint8_t>& cons
     const Rows rows(values, stride, 7, "poses", 0);
     const Rows flag_rows(flags, flags_stride, 1, "flags", 0);
     for (int32_t i = 0; i < count; ++i) {
-        const Pose& pose = poses[first + i];
-        if (values) {
-            for (size_t k = 0; k < 4; ++k) rows.set(i, k, pose.rotation[k]);
-            for (size_t k = 0; k < 3; ++k) rows.set(i, 4 + k, pose.translation[k]);
-        }
+        if (values) write_pose(poses[first + i], rows, i);
         if (flags) flag_rows.set(i, 0, constants[first + i]);
     }
 }
