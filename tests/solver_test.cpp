@@ -327,6 +327,21 @@ TEST(Solver, EveryLimitEndsTheSolve) {
               Reason::callback);
 }
 
+TEST(Solver, DampingBelowTheRoundingOfProductsIsRaised) {
+    const Problem start = scene(SceneKind::hall);
+    MinimizerOptions options =
+        options_for(LinearSolverKind::explicit_schur, Preconditioner::schur_jacobi, 0.1);
+    Problem problem = start;
+    const double expected = run(problem, options, Precision::double_precision).final_cost;
+    options.initial_radius = 1e16;  // S in fp32 is indefinite
+    problem = start;
+    const Summary summary = run(problem, options);
+    expect_sound(summary);
+    EXPECT_GT(summary.num_invalid_steps, 0);
+    EXPECT_EQ(summary.reason, Reason::function_tolerance);
+    EXPECT_NEAR(summary.final_cost, expected, 1e-6 * expected);
+}
+
 TEST(Solver, StartThatIsNotFiniteFails) {
     Problem problem = scene(SceneKind::hall);
     problem.points[5] = {1e300, -1e300, 1e300};

@@ -483,7 +483,8 @@ typedef struct clba_solver_options {
     int32_t max_num_iterations;                /* >= 0; 50 */
     int32_t max_linear_solver_iterations;      /* > 0; 500 */
     int32_t min_linear_solver_iterations;      /* >= 0; 0 */
-    int32_t max_num_consecutive_invalid_steps; /* >= 0; 5 */
+    int32_t max_num_consecutive_invalid_steps; /* >= 0; 5. After one, the radius is at most
+                                                  1 / rounding of the matrix products. */
     int32_t jacobian;                          /* DEFAULT */
     double initial_trust_region_radius;        /* > 0; 1e4 */
     double max_trust_region_radius;            /* > 0; 1e16 */

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 #include <cstddef>
+#include <limits>
 #include <string>
 
 namespace clba {
@@ -13,6 +14,10 @@ inline const char* real_type(Precision precision) {
 }
 inline size_t real_bytes(Precision precision) {
     return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+}
+inline double real_epsilon(Precision precision) {
+    return precision == Precision::double_precision ? std::numeric_limits<double>::epsilon()
+                                                    : std::numeric_limits<float>::epsilon();
 }
 // WIDE of the kernels: states, residuals, image vectors and long sums.
 inline const char* wide_type(Precision precision) {

@@ -257,6 +257,8 @@ private:
     void handle_invalid_step() {
         ++summary_.num_invalid_steps;
         ++consecutive_invalid_steps_;
+        // Damping below the rounding of the products damps nothing.
+        trust_region_.limit(1 / real_epsilon(device_.precision()));
         trust_region_.reject();
     }
 

@@ -23,6 +23,7 @@ public:
         radius_ /= shrink_factor_;
         shrink_factor_ *= 2;
     }
+    void limit(double radius) { radius_ = std::min(radius_, radius); }
 
 private:
     double radius_;
