@@ -81,7 +81,8 @@ class Usage(CliTest):
                           ["solve", "x", "--max-iterations", "many"],
                           ["solve", "x", "--loss-scale", "0"],
                           ["solve", "x", "--loss-scale", "inf"],
-                          ["solve", "x", "--time-limit", "nan"]):
+                          ["solve", "x", "--time-limit", "nan"],
+                          ["solve", "x", "--target-cost", "-1"]):
             with self.subTest(arguments):
                 self.clba(*arguments, exit_code=USAGE)
 
@@ -514,6 +515,10 @@ class Solve(CliTest):
         self.assertLess(summary["final_cost"], summary["initial_cost"])
         summary = self.solve(file, "--time-limit", "1e-9")
         self.assertEqual(summary["reason"], "max_seconds")
+        target = 0.5 * summary["initial_cost"]
+        summary = self.solve(file, "--target-cost", target)
+        self.assertEqual(summary["reason"], "target_cost")
+        self.assertLessEqual(summary["final_cost"], target)
 
     def test_loss_resists_outliers(self):
         file = self.scene("--outliers", "0.05", "--truth", "truth.txt")

@@ -53,7 +53,8 @@ clba_write_options options_of(const Output& output) {
 }  // namespace
 
 const char* const problem_help =
-    "problem: a BAL text (plain, gzip or bzip2) or the folder of a COLMAP model";
+    "problem: a file or folder of BAL, COLMAP, Bundler, VisualSFM, OpenMVG or OpenSfM, told by its "
+    "content";
 
 Problem read_problem(const std::string& path, bool quiet) {
     clba_problem* made = nullptr;

@@ -254,11 +254,11 @@ void add_solver_options(CLI::App& command, SolveArguments& arguments) {
     add_choice(command, "--damping", options.damping, clba_damping_name,
                "diagonal that the damping multiplies");
     add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");
-    command.add_flag("--constant-sensors", arguments.constant_sensors,
-                     "hold the cameras of rigs in their places on them");
     command.add_option("--loss-scale", arguments.loss_scale, "where the loss sets in, pixels")
         ->check(positive_number)
         ->capture_default_str();
+    command.add_flag("--constant-sensors", arguments.constant_sensors,
+                     "hold the cameras of rigs in their places on them");
 }
 
 void add_limits(CLI::App& command, clba_solver_options& options) {
@@ -272,6 +272,9 @@ void add_limits(CLI::App& command, clba_solver_options& options) {
         ->capture_default_str();
     command.add_option("--time-limit", options.max_seconds, "limit on seconds of the solve")
         ->check(positive_number);
+    command
+        .add_option("--target-cost", options.target_cost, "end if the cost is not above this; 0")
+        ->check(non_negative_number);
     command
         .add_option("--eta", options.eta,
                     "forcing term of the inexact step, below 1; 0: by the preconditioner")

@@ -79,6 +79,7 @@ def _add_solve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loss-scale", type=float, default=1.0, help="pixels")
     parser.add_argument("--max-iterations", type=int, help="limit; 50")
     parser.add_argument("--time-limit", type=float, help="seconds")
+    parser.add_argument("--target-cost", type=float, help="end at a cost not above this; 0")
     parser.add_argument("--function-tolerance", type=float, help="1e-6")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
@@ -109,6 +110,7 @@ def _solve(parsed: argparse.Namespace) -> int:
             damping=parsed.damping,
             max_num_iterations=parsed.max_iterations,
             max_seconds=parsed.time_limit,
+            target_cost=parsed.target_cost,
             function_tolerance=parsed.function_tolerance,
             progress=not parsed.quiet,
         )
