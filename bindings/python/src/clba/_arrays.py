@@ -110,3 +110,9 @@ def broadcast(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Doubl
             f"{name} has shape {np.shape(values)}, but it must be {shape}, or broadcast to it"
         ) from None
     return doubles(array, shape, name)
+
+
+def required(values: npt.ArrayLike | None, name: str) -> npt.ArrayLike:
+    if values is None:
+        raise TypeError(f"{name} is None, but it is needed")
+    return values

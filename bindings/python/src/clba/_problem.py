@@ -25,8 +25,10 @@ from clba import (
     _ffi,
     _filter,
     _names,
+    _priors,
     _problem_files,
     _rigs,
+    _rows,
 )
 from clba._arrays import Doubles, Int32s, UInt64s, pointer, stride
 from clba._covariance import Covariance
@@ -34,13 +36,11 @@ from clba._devices import Context, context_of
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
 from clba._filter import FilterReport
+from clba._rows import NO_DOUBLES, problem_info
 from clba._summary import Summary
 
 if TYPE_CHECKING:
     import pycolmap
-
-_NO_INTS = ctypes.POINTER(c_int32)()
-_NO_DOUBLES = ctypes.POINTER(c_double)()
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ class Problem:
             raise ValueError("sigmas and covariances say the same thing; give one of them")
         poses = _arrays.doubles(poses, (None, 7), "poses")
         points = _arrays.doubles(points, (None, 3), "points")
-        models, params = _camera_rows(camera_models, camera_params)
+        models, params = _rows.camera_rows(camera_models, camera_params)
         if camera_indices is None:
-            camera_indices = _default_camera_indices(len(models), len(poses))
+            camera_indices = _rows.default_camera_indices(len(models), len(poses))
         cameras = _arrays.indices(
             camera_indices, len(poses), len(models), "camera_indices", "cameras"
         )
@@ -152,9 +152,9 @@ class Problem:
         pixels = _arrays.doubles(pixels, (len(images), 2), "pixels")
         problem = cls()
         with problem._use() as handle:
-            _set_cameras(handle, models, params)
-            _set_images(handle, cameras, poses)
-            _set_points(handle, points)
+            _rows.set_cameras(handle, models, params)
+            _rows.set_images(handle, cameras, poses)
+            _rows.set_points(handle, points)
             check(
                 lib.clba_problem_set_observations(
                     handle,
@@ -323,7 +323,7 @@ class Problem:
         camera_params: npt.ArrayLike | Sequence[Sequence[float]],
     ) -> range:
         """Appends cameras, as in ``from_arrays``, and returns their indices."""
-        models, params = _camera_rows(camera_models, camera_params)
+        models, params = _rows.camera_rows(camera_models, camera_params)
         with self._use() as handle:
             first = problem_info(handle).num_cameras
             check(
@@ -417,7 +417,7 @@ class Problem:
                     stride(points),
                     pointer(xy, c_double),
                     stride(xy),
-                    _NO_DOUBLES if rows is None else pointer(rows, c_double),
+                    NO_DOUBLES if rows is None else pointer(rows, c_double),
                     0 if rows is None else stride(rows),
                 ),
                 xy="pixels",
@@ -555,7 +555,9 @@ class Problem:
     def camera_models(self) -> list[str]:
         """The name of each camera's model."""
         with self._use() as handle:
-            return [_names.name_of(_names.CAMERA_MODELS, value) for value in _models(handle)]
+            return [
+                _names.name_of(_names.CAMERA_MODELS, value) for value in _rows.models_of(handle)
+            ]
 
     @property
     def camera_params(self) -> Doubles:
@@ -564,21 +566,21 @@ class Problem:
         It may be set to as many rows.
         """
         with self._use() as handle:
-            return _params(handle)
+            return _rows.params_of(handle)
 
     @camera_params.setter
     def camera_params(self, values: npt.ArrayLike) -> None:
         with self._use() as handle:
-            models = _models(handle)
+            models = _rows.models_of(handle)
             params = _arrays.doubles(values, (len(models), None), "camera_params")
-            _check_num_params(models, params)
-            _set_cameras(handle, models, params)
+            _rows.check_num_params(models, params)
+            _rows.set_cameras(handle, models, params)
 
     @property
     def camera_indices(self) -> Int32s:
         """(num_images,) the camera of each image."""
         with self._use() as handle:
-            return _images(handle)[0]
+            return _rows.images_of(handle)[0]
 
     @property
     def poses(self) -> Doubles:
@@ -587,13 +589,13 @@ class Problem:
         It may be set to as many rows; quaternions are normalised.
         """
         with self._use() as handle:
-            return _images(handle)[1]
+            return _rows.images_of(handle)[1]
 
     @poses.setter
     def poses(self, values: npt.ArrayLike) -> None:
         with self._use() as handle:
-            cameras, _ = _images(handle)
-            _set_images(handle, cameras, _arrays.doubles(values, (len(cameras), 7), "poses"))
+            cameras, _ = _rows.images_of(handle)
+            _rows.set_images(handle, cameras, _arrays.doubles(values, (len(cameras), 7), "poses"))
 
     @property
     def centers(self) -> Doubles:
@@ -617,14 +619,14 @@ class Problem:
     def points(self, values: npt.ArrayLike) -> None:
         with self._use() as handle:
             count = problem_info(handle).num_points
-            _set_points(handle, _arrays.doubles(values, (count, 3), "points"))
+            _rows.set_points(handle, _arrays.doubles(values, (count, 3), "points"))
 
     @property
     def image_indices(self) -> Int32s:
         """(num_observations,) the image of each observation."""
         with self._use() as handle:
             images = np.empty(problem_info(handle).num_observations, np.int32)
-            _get_observations(handle, len(images), images=images)
+            _rows.get_observations(handle, len(images), images=images)
             return images
 
     @property
@@ -632,7 +634,7 @@ class Problem:
         """(num_observations,) the point of each observation."""
         with self._use() as handle:
             points = np.empty(problem_info(handle).num_observations, np.int32)
-            _get_observations(handle, len(points), points=points)
+            _rows.get_observations(handle, len(points), points=points)
             return points
 
     @property
@@ -640,7 +642,7 @@ class Problem:
         """(num_observations, 2) where the points were seen."""
         with self._use() as handle:
             pixels = np.empty((problem_info(handle).num_observations, 2))
-            _get_observations(handle, len(pixels), pixels=pixels)
+            _rows.get_observations(handle, len(pixels), pixels=pixels)
             return pixels
 
     @property
@@ -673,7 +675,7 @@ class Problem:
         """
         with self._use() as handle:
             if covariances is None:
-                check(lib.clba_problem_set_covariances(handle, 0, _NO_DOUBLES, 0))
+                check(lib.clba_problem_set_covariances(handle, 0, NO_DOUBLES, 0))
                 return
             count = problem_info(handle).num_observations
             rows = _arrays.doubles(covariances, (count, 3), "covariances")
@@ -724,7 +726,7 @@ class Problem:
                 whose model lacks one of them is not held by that name.
         """
         with self._use() as handle:
-            models = _models(handle)
+            models = _rows.models_of(handle)
             names = [_names.PARAM_NAMES[_names.name_of(_names.CAMERA_MODELS, m)] for m in models]
             known = {name for row in names for name in row}
             if isinstance(params, str):
@@ -788,7 +790,7 @@ class Problem:
         """
         with self._use() as handle:
             info = problem_info(handle)
-            most = _params(handle).shape[1] if cameras is not None else 0
+            most = _rows.params_of(handle).shape[1] if cameras is not None else 0
             for values, shape, name, function in (
                 (images, (info.num_images, 6), "images", lib.clba_problem_set_image_uncertainties),
                 (
@@ -800,7 +802,7 @@ class Problem:
                 (points, (info.num_points, 3), "points", lib.clba_problem_set_point_uncertainties),
             ):
                 if values is None:
-                    check(function(handle, 0, _NO_DOUBLES, 0))
+                    check(function(handle, 0, NO_DOUBLES, 0))
                     continue
                 rows = _arrays.broadcast(values, shape, name)
                 check(
@@ -847,8 +849,8 @@ class Problem:
                 handle,
                 problem_info(handle).num_images,
                 frames,
-                _required(sensors, "sensors"),
-                _required(sensor_poses, "sensor_poses"),
+                _arrays.required(sensors, "sensors"),
+                _arrays.required(sensor_poses, "sensor_poses"),
                 frame_poses,
                 constant_sensors,
                 constant_frames,
@@ -987,12 +989,14 @@ class Problem:
             sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
                 to it.
         """
-        self._set_priors(
-            lib.clba_problem_set_position_priors,
-            ("images", images, 1),
-            ("positions", positions, 3),
-            (covariances, sigmas, 3),
-        )
+        with self._use() as handle:
+            _priors.set_priors(
+                handle,
+                lib.clba_problem_set_position_priors,
+                ("images", images, 1),
+                ("positions", positions, 3),
+                (covariances, sigmas, 3),
+            )
 
     def set_pose_priors(
         self,
@@ -1014,12 +1018,14 @@ class Problem:
             sigmas: instead of covariances, standard deviations: (n, 6), or what numpy can broadcast
                 to it.
         """
-        self._set_priors(
-            lib.clba_problem_set_pose_priors,
-            ("images", images, 1),
-            ("poses", poses, 7),
-            (covariances, sigmas, 6),
-        )
+        with self._use() as handle:
+            _priors.set_priors(
+                handle,
+                lib.clba_problem_set_pose_priors,
+                ("images", images, 1),
+                ("poses", poses, 7),
+                (covariances, sigmas, 6),
+            )
 
     def set_point_priors(
         self,
@@ -1038,12 +1044,14 @@ class Problem:
             sigmas: instead of covariances, standard deviations: (n, 3), or what numpy can broadcast
                 to it.
         """
-        self._set_priors(
-            lib.clba_problem_set_point_priors,
-            ("points", points, 1),
-            ("positions", positions, 3),
-            (covariances, sigmas, 3),
-        )
+        with self._use() as handle:
+            _priors.set_priors(
+                handle,
+                lib.clba_problem_set_point_priors,
+                ("points", points, 1),
+                ("positions", positions, 3),
+                (covariances, sigmas, 3),
+            )
 
     def set_relative_pose_priors(
         self,
@@ -1068,12 +1076,14 @@ class Problem:
         """
         if pairs is not None and np.shape(pairs)[1:] != (2,):
             raise ValueError(f"pairs has shape {np.shape(pairs)}, but it must be (any, 2)")
-        self._set_priors(
-            lib.clba_problem_set_relative_pose_priors,
-            ("pairs.flat", None if pairs is None else np.ravel(pairs), 2),
-            ("poses", poses, 7),
-            (covariances, sigmas, 6),
-        )
+        with self._use() as handle:
+            _priors.set_priors(
+                handle,
+                lib.clba_problem_set_relative_pose_priors,
+                ("pairs.flat", None if pairs is None else np.ravel(pairs), 2),
+                ("poses", poses, 7),
+                (covariances, sigmas, 6),
+            )
 
     def set_intrinsics_priors(
         self,
@@ -1094,67 +1104,7 @@ class Problem:
                 to it; infinite for parameters without a prior.
         """
         with self._use() as handle:
-            function = lib.clba_problem_set_intrinsics_priors
-            if cameras is None:
-                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
-                return
-            models = _models(handle)
-            most = _params(handle).shape[1]
-            chosen = _arrays.indices(cameras, None, len(models), "cameras", "cameras")
-            targets = _arrays.doubles(_required(params, "params"), (len(chosen), most), "params")
-            rows = _covariances(covariances, sigmas, len(chosen), most)
-            # Rows of the library are n x n numbers for cameras of n parameters.
-            packed = np.zeros((len(chosen), most * most))
-            for i, camera in enumerate(chosen):
-                n = lib.clba_camera_model_num_params(models[camera])
-                packed[i, : n * n] = rows[i, :n, :n].ravel()
-            check(
-                function(
-                    handle,
-                    len(chosen),
-                    pointer(chosen, c_int32),
-                    stride(chosen),
-                    pointer(targets, c_double),
-                    stride(targets),
-                    pointer(packed, c_double),
-                    stride(packed),
-                )
-            )
-
-    def _set_priors(
-        self,
-        function: Any,
-        subjects: tuple[str, npt.ArrayLike | None, int],
-        targets: tuple[str, npt.ArrayLike | None, int],
-        uncertainty: tuple[npt.ArrayLike | None, npt.ArrayLike | None, int],
-    ) -> None:
-        """subjects: their name, indices, and how many of these a row has; targets likewise;
-        uncertainty: covariances or sigmas, and their dimension."""
-        name, given, per_row = subjects
-        target_name, target, width = targets
-        covariances, sigmas, n = uncertainty
-        with self._use() as handle:
-            if given is None:
-                check(function(handle, 0, _NO_INTS, 0, _NO_DOUBLES, 0, _NO_DOUBLES, 0))
-                return
-            kind = "points" if name == "points" else "images"
-            limit = getattr(problem_info(handle), f"num_{kind}")
-            indices = np.ascontiguousarray(_arrays.indices(given, None, limit, name, kind))
-            count = len(indices) // per_row
-            rows = _arrays.doubles(_required(target, target_name), (count, width), target_name)
-            matrices = _covariances(covariances, sigmas, count, n)
-            check(
-                function(
-                    handle,
-                    count,
-                    pointer(indices, c_int32),
-                    0,
-                    pointer(rows, c_double),
-                    stride(rows),
-                    pointer(matrices, c_double),
-                    0,
-                )
-            )
+            _priors.set_intrinsics_priors(handle, cameras, params, covariances, sigmas)
 
     # ---- Evaluating ----------------------------------------------------------------------------
 
@@ -1244,9 +1194,14 @@ class Problem:
             max_linear_solver_iterations=max_linear_solver_iterations,
         )
         with self._use() as handle, context._use() as context_handle:
-            num_params = [lib.clba_camera_model_num_params(int(m)) for m in _models(handle)]
+            num_params = [lib.clba_camera_model_num_params(int(m)) for m in _rows.models_of(handle)]
             return _covariance.compute(
-                handle, context_handle, options, indices, num_params, _images(handle)[0]
+                handle,
+                context_handle,
+                options,
+                indices,
+                num_params,
+                _rows.images_of(handle)[0],
             )
 
     def fix_gauge(
@@ -1299,15 +1254,16 @@ class Problem:
         )
         images = np.empty(info.num_observations, np.int32)
         points = np.empty(info.num_observations, np.int32)
-        _get_observations(handle, len(images), images=images, points=points)
+        _rows.get_observations(handle, len(images), images=images, points=points)
         num_params = np.array(
-            [lib.clba_camera_model_num_params(model) for model in _models(handle)], np.int64
+            [lib.clba_camera_model_num_params(model) for model in _rows.models_of(handle)],
+            np.int64,
         )
         return _evaluation.Structure(
             pose_offsets=pose_offsets,
             intrinsics_offsets=intrinsics_offsets,
             num_params=num_params,
-            camera_indices=_images(handle)[0],
+            camera_indices=_rows.images_of(handle)[0],
             image_indices=images,
             point_indices=points,
         )
@@ -1425,179 +1381,3 @@ class Problem:
     def _info(self) -> _ffi.ProblemInfo:
         with self._use() as handle:
             return problem_info(handle)
-
-
-def _required(values: npt.ArrayLike | None, name: str) -> npt.ArrayLike:
-    if values is None:
-        raise TypeError(f"{name} is None, but it is needed")
-    return values
-
-
-def _covariances(
-    covariances: npt.ArrayLike | None, sigmas: npt.ArrayLike | None, count: int, n: int
-) -> Doubles:
-    """(count, n, n), without gaps, from either of the two."""
-    if (covariances is None) == (sigmas is None):
-        raise TypeError("priors need either covariances or sigmas")
-    if covariances is not None:
-        return np.ascontiguousarray(_arrays.broadcast(covariances, (count, n, n), "covariances"))
-    deviations = _arrays.broadcast(np.asarray(sigmas), (count, n), "sigmas")
-    if not np.all(deviations > 0):
-        row, column = np.argwhere(~(deviations > 0))[0]
-        raise ValueError(f"sigmas[{row}][{column}] = {deviations[row, column]}, but it must be > 0")
-    rows = np.zeros((count, n, n))
-    rows[:, np.arange(n), np.arange(n)] = deviations**2
-    return rows
-
-
-def problem_info(handle: Any) -> _ffi.ProblemInfo:
-    info = _ffi.sized(_ffi.ProblemInfo)
-    check(lib.clba_problem_get_info(handle, byref(info)))
-    return info
-
-
-def _camera_rows(camera_models: str | Sequence[str], camera_params: Any) -> tuple[Int32s, Doubles]:
-    """Models and rows of parameters, padded to equal length if their models differ."""
-    rows = camera_params if isinstance(camera_params, np.ndarray) else _padded(camera_params)
-    if isinstance(camera_models, str):
-        if rows.ndim == 1:
-            rows = rows[None, :]
-        camera_models = [camera_models] * len(rows)
-    models = np.array(
-        [
-            _names.value_of(_names.CAMERA_MODELS, name, f"camera_models[{i}]")
-            for i, name in enumerate(camera_models)
-        ],
-        np.int32,
-    )
-    params = _arrays.doubles(rows, (len(models), None), "camera_params")
-    _check_num_params(models, params)
-    return models, params
-
-
-def _padded(rows: Any) -> npt.NDArray[Any]:
-    """An array of rows that may differ in length."""
-    if not isinstance(rows, Sequence):
-        return np.asarray(rows)
-    lengths = {len(row) if np.ndim(row) == 1 else 0 for row in rows}
-    if len(lengths) > 1:
-        most = max(lengths)
-        rows = [np.append(row, np.full(most - np.size(row), np.nan)) for row in rows]
-    return np.asarray(rows) if lengths else np.empty((0, 0))
-
-
-def _check_num_params(models: Int32s, params: Doubles) -> None:
-    """The longest model decides how long a row is."""
-    used = [_names.name_of(_names.CAMERA_MODELS, model) for model in np.unique(models)]
-    longest = max(used, key=lambda name: len(_names.PARAM_NAMES[name]), default=None)
-    if longest is None:
-        return
-    names = _names.PARAM_NAMES[longest]
-    if params.shape[1] != len(names):
-        raise ValueError(
-            f"camera_params has rows of {params.shape[1]} numbers, but {longest} has {len(names)}: "
-            f"{', '.join(names)}"
-        )
-
-
-def _default_camera_indices(num_cameras: int, num_images: int) -> Int32s:
-    if num_cameras == 1:
-        return np.zeros(num_images, np.int32)
-    if num_cameras == num_images:
-        return np.arange(num_images, dtype=np.int32)
-    raise ValueError(
-        f"camera_indices is None, but there are {num_cameras} cameras for {num_images} images; "
-        "say which image has which"
-    )
-
-
-def _set_cameras(handle: Any, models: Int32s, params: Doubles) -> None:
-    check(
-        lib.clba_problem_set_cameras(
-            handle,
-            len(models),
-            pointer(models, c_int32),
-            stride(models),
-            pointer(params, c_double),
-            stride(params),
-        ),
-        params="camera_params",
-        models="camera_models",
-    )
-
-
-def _set_images(handle: Any, cameras: Int32s, poses: Doubles) -> None:
-    check(
-        lib.clba_problem_set_images(
-            handle,
-            len(poses),
-            pointer(cameras, c_int32),
-            stride(cameras),
-            pointer(poses, c_double),
-            stride(poses),
-        )
-    )
-
-
-def _set_points(handle: Any, points: Doubles) -> None:
-    check(
-        lib.clba_problem_set_points(handle, len(points), pointer(points, c_double), stride(points)),
-        xyz="points",
-    )
-
-
-def _models(handle: Any) -> Int32s:
-    models = np.empty(problem_info(handle).num_cameras, np.int32)
-    check(
-        lib.clba_problem_get_cameras(
-            handle, 0, len(models), pointer(models, c_int32), 0, _NO_DOUBLES, 0
-        )
-    )
-    return models
-
-
-def _params(handle: Any) -> Doubles:
-    models = _models(handle)
-    lengths = [lib.clba_camera_model_num_params(model) for model in models]
-    params = np.full((len(models), max(lengths, default=0)), np.nan)
-    check(
-        lib.clba_problem_get_cameras(
-            handle, 0, len(models), _NO_INTS, 0, pointer(params, c_double), stride(params)
-        )
-    )
-    return params
-
-
-def _images(handle: Any) -> tuple[Int32s, Doubles]:
-    count = problem_info(handle).num_images
-    cameras, poses = np.empty(count, np.int32), np.empty((count, 7))
-    check(
-        lib.clba_problem_get_images(
-            handle, 0, count, pointer(cameras, c_int32), 0, pointer(poses, c_double), 0
-        )
-    )
-    return cameras, poses
-
-
-def _get_observations(
-    handle: Any,
-    count: int,
-    *,
-    images: Int32s | None = None,
-    points: Int32s | None = None,
-    pixels: Doubles | None = None,
-) -> None:
-    """Fills the arrays that are given."""
-    check(
-        lib.clba_problem_get_observations(
-            handle,
-            0,
-            count,
-            _NO_INTS if images is None else pointer(images, c_int32),
-            0,
-            _NO_INTS if points is None else pointer(points, c_int32),
-            0,
-            _NO_DOUBLES if pixels is None else pointer(pixels, c_double),
-            0,
-        )
-    )

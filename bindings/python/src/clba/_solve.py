@@ -14,7 +14,8 @@ from clba._cancellation import Cancellation
 from clba._devices import Context, context_of
 from clba._ffi import check, lib
 from clba._interrupt import DeferredInterrupt
-from clba._problem import Problem, problem_info
+from clba._problem import Problem
+from clba._rows import problem_info
 from clba._summary import Iteration, Summary
 from clba._window import Window
 
