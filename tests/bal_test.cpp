@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "io/bal_parallel.hpp"
+#include "io/formats.hpp"
 #include "temporary_folder.hpp"
 
 namespace clba {
@@ -164,6 +165,19 @@ TEST_F(BalTest, ReadsProblemsWithoutObservations) {
     EXPECT_EQ(nothing.num_images() + nothing.num_points() + nothing.num_observations(), 0);
     const Problem problem = read_bal(folder.file("point.txt", "0 1 0\n1 2 3\n"));
     EXPECT_EQ(problem.points.at(0), (Point{1, 2, 3}));
+}
+
+// A quaternion rounds a rotation vector, which must not drift from file to file.
+TEST_F(BalTest, FilesThatAreWrittenBackAreEqual) {
+    write_bal(large_problem(), folder.path("first.txt"));
+    ReadFile read = read_reconstruction(folder.path("first.txt"), Format::automatic, {});
+    const FileFormat& bal = *find_format(Format::bal);
+    bal.write(read.reconstruction, folder.path("again.txt"));
+    EXPECT_EQ(content_of(folder.path("again.txt")), content_of(folder.path("first.txt")));
+    auto& rotation = read.reconstruction.problem.images[1].pose.rotation;
+    rotation = {1, 0, 0, 0};
+    bal.write(read.reconstruction, folder.path("moved.txt"));
+    EXPECT_EQ(read_bal(folder.path("moved.txt")).images[1].pose.rotation, rotation);
 }
 
 TEST_F(BalTest, RoundTripsPlainAndCompressed) {

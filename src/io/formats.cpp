@@ -38,16 +38,24 @@ bool begins_with(const Candidate& candidate, std::string_view words) {
            candidate.beginning.compare(start, words.size(), words) == 0;
 }
 
+struct BalDetails final : SourceDetails {
+    BalDetails() : SourceDetails("bal") {}
+    RotationVectors rotations;
+};
+
 Reconstruction read_bal_reconstruction(const std::string& path) {
     Reconstruction made;
-    made.problem = read_bal(path);
+    const auto details = std::make_shared<BalDetails>();
+    made.problem = read_bal(path, &details->rotations);
+    made.details = details;
     return made;
 }
 
 void write_bal_reconstruction(const Reconstruction& reconstruction, const std::string& path) {
     const Problem& problem = reconstruction.problem;
+    const auto* read = dynamic_cast<const BalDetails*>(reconstruction.details.get());
     if (has_snavely_cameras_only(problem))
-        write_bal(problem, path);
+        write_bal(problem, path, read ? &read->rotations : nullptr);
     else
         write_bal(with_snavely_cameras(problem), path);
 }
