@@ -580,6 +580,13 @@ TEST_F(Setters, GettersRefuseRowsThatAreNotThere) {
     EXPECT_TRUE(refused(clba_problem_get_images(p, 8, 1, i.data(), 0, nullptr, 0), {"images"}));
     EXPECT_TRUE(refused(clba_problem_get_centers(p, 7, 2, d.data(), 0), {"images"}));
     EXPECT_TRUE(refused(clba_problem_get_points(p, 0, -1, d.data(), 0), {"points"}));
+    EXPECT_TRUE(refused(clba_problem_get_constant_images(p, 8, 1, i.data(), 0), {"images"}));
+    EXPECT_TRUE(refused(clba_problem_get_constant_cameras(p, 9, 1, i.data(), 0), {"cameras"}));
+    EXPECT_TRUE(refused(clba_problem_get_constant_points(p, 0, 1, nullptr, 0), {"flags", "NULL"}));
+    i.assign(8, -1);
+    EXPECT_OK(clba_problem_get_constant_images(p, 0, 8, i.data(), 0));
+    EXPECT_EQ(i[0] | i[7], 0);
+    i.resize(1000);
     EXPECT_TRUE(
         refused(clba_problem_get_points(p, std::numeric_limits<int32_t>::max(), 1, d.data(), 0),
                 {"points"}));

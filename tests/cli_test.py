@@ -92,6 +92,33 @@ class Usage(CliTest):
         self.refused(USAGE, "generate", "hall", "--images", "1", "-o", "out.txt")
         self.refused(USAGE, "generate", "hall", "--noise", "nan", "-o", "out.txt")
 
+    def test_options_that_would_have_no_effect(self):
+        file = self.scene()
+        for options in (["--loss-scale", "2"], ["--gauge-images", "0", "1"],
+                        ["--covariance-gauge", "inner"], ["--covariance-points"],
+                        ["--align-to-priors"]):
+            with self.subTest(options):
+                self.clba("solve", file, *options, exit_code=USAGE)
+
+    def test_inputs_are_not_lost(self):
+        file = self.scene()
+        gps = self.write("0,0,0,0,1,1,1\n", "gps.csv")
+        (self.folder / "link.txt").symlink_to("scene.txt")
+        before = (self.folder / file).read_bytes()
+        for option in ("--ply", "--json", "--covariance", "--checkpoint"):
+            for name in (file, "./" + file, "link.txt"):
+                with self.subTest(option, name=name):
+                    self.refused(USAGE, "solve", file, option, name, mentions="an input")
+            self.refused(USAGE, "solve", file, "--position-priors", gps, option, gps,
+                         mentions="an input")
+        self.refused(USAGE, "solve", file, "--position-priors", gps, "-o", gps,
+                     mentions="an input")
+        self.refused(USAGE, "filter", file, "out.txt", "--json", file, mentions="an input")
+        self.assertEqual((self.folder / file).read_bytes(), before)
+        self.solve(file, "--checkpoint", "c", "--max-iterations", 1)
+        self.refused(USAGE, "solve", file, "--resume", "c", "--json", "c", mentions="an input")
+        self.solve(file, "--checkpoint", "c", "--resume", "c")
+
     def test_two_outputs_of_one_name(self):
         file = self.scene()
         self.refused(USAGE, "solve", file, "-o", "x", "--ply", "./x", mentions="x")
@@ -495,18 +522,72 @@ class Solve(CliTest):
         scene = self.scene()
         for text, mentions in (
                 ("", "priors.csv: has no priors"),
-                ("0,1,2,3,1,1,1\nx,1,2,3,1,1,1\n", "priors.csv:2: the index is 'x'"),
+                ("0,1,2,3,1,1,1\nx,1,2,3,1,1,1\n", "priors.csv:2: the image is 'x'"),
                 ("0,1,2,3,1,1\n", "priors.csv:1: there is no sz"),
                 ("0,1,2,3,1,1,1,1\n", "priors.csv:1: there is more"),
                 ("0,1,nan,3,1,1,1\n", "priors.csv:1: y is 'nan'"),
                 ("0,1,2,3,1,1,0\n", "priors.csv:1: sz is '0'"),
-                ("99,1,2,3,1,1,1\n", "priors.csv: images[0] = 99, but num_images = 12"),
+                ("99,1,2,3,1,1,1\n", "priors.csv:1: the index is 99, but there are 12 images"),
+                ("-1,1,2,3,1,1,1\n", "priors.csv:1: the index is -1"),
                 ("3,1,2,3,1,1,1\n3,1,2,3,1,1,1\n", "images[1] = 3")):
             with self.subTest(text):
                 name = self.write(text, "priors.csv")
                 self.refused(FILE, "solve", scene, "-o", "out.txt", "--position-priors", name,
                              mentions=mentions)
         self.refused(FILE, "solve", scene, "--point-priors", "absent.csv", mentions="absent.csv")
+
+    def test_priors_by_name_and_in_another_frame(self):
+        scene = self.scene(kind="street")
+        self.clba("convert", scene, "model/", "--format", "colmap_text", "--accept-loss")
+        # A cube's corners and more, far from the scene's frame, for images by their names.
+        line = "image{:06d},{},{},{},10,10,10\n".format
+        rows = [line(i + 1, 5e5 + 100 * (i % 2), 4e6 + 100 * (i // 2 % 2), 100 + 50 * (i // 4))
+                for i in range(8)]
+        gps = self.write("\ufeffimage,x,y,z,sx,sy,sz\r\n" + "".join(rows), "gps.csv")
+        start = self.clba("solve", "model", "--position-priors", gps, "--max-iterations", 0)
+        self.assertIn("gps.csv: camera centres are", start.stderr)
+        self.assertIn("--align-to-priors", start.stderr)
+        far = self.solve("model", "--position-priors", gps, "--max-iterations", 0)
+        near = self.solve("model", "--position-priors", gps, "--max-iterations", 0,
+                          "--align-to-priors")
+        self.assertLess(near["initial_prior_cost"], 1e-4 * far["initial_prior_cost"])
+        # The alignment is a similarity: observations cost what they did.
+        self.assertAlmostEqual(near["initial_cost"] - near["initial_prior_cost"],
+                               far["initial_cost"] - far["initial_prior_cost"],
+                               delta=1e-6 * far["initial_cost"])
+        index = self.write("0,0,0,0,1,1,1\n", "one.csv")
+        self.refused(USAGE, "solve", "model", "--position-priors", index, "--align-to-priors",
+                     mentions="three images")
+        twice = (self.folder / "model" / "images.txt").read_text(encoding="utf-8")
+        self.write(twice.replace("image000002", "image000001"), "model/images.txt")
+        self.refused(FILE, "solve", "model", "--position-priors", gps,
+                     mentions="gps.csv:2: several images have the name 'image000001'")
+
+    def test_constant_intrinsics(self):
+        file = self.scene()
+        self.clba("convert", file, "model/", "--format", "colmap_text", "--accept-loss")
+
+        def cameras(folder):
+            lines = (self.folder / folder / "cameras.txt").read_text(encoding="utf-8").splitlines()
+            # f, cx, cy, k1, k2 of RADIAL
+            return [tuple(map(float, line.split()[4:])) for line in lines if line[0] != "#"]
+
+        before = cameras("model")
+        for names, constant in (("cx,cy", (1, 2)), ("f", (0,)), ("all", range(5))):
+            with self.subTest(names):
+                self.clba("solve", "model", "-o", "out/", "--quiet", "--constant-intrinsics", names)
+                for old, new in zip(before, cameras("out"), strict=True):
+                    for k in range(5):
+                        self.assertEqual(old[k] == new[k], k in constant)
+        self.refused(USAGE, "solve", "model", "--constant-intrinsics", "cx,fx",
+                     mentions="no camera has a parameter fx")
+
+    def test_pixel_sigma_weighs_observations(self):
+        file = self.scene()
+        plain = self.solve(file, "--max-iterations", 0)
+        half = self.solve(file, "--max-iterations", 0, "--pixel-sigma", 0.5)
+        self.assertAlmostEqual(half["initial_cost"], 4 * plain["initial_cost"],
+                               delta=1e-9 * half["initial_cost"])
 
     def test_limits_keep_the_best_state(self):
         file = self.scene()

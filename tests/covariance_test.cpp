@@ -614,6 +614,23 @@ TEST_F(Covariances, FixGaugeMovesTheStateAndNoResidual) {
         EXPECT_LT(distance(moved), before);
         EXPECT_NEAR(moved.cost, cost, 1e-9 * cost);
     }
+    // An image whose centre is not known takes no part.
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    std::fill_n(centers.begin() + 6, 3, nan);
+    ASSERT_OK(clba_problem_fix_gauge(problem.get(), &target));
+    {
+        const Dense moved(problem, context);
+        const auto known = [&](const Dense& dense) {
+            return distance(dense) - (dense.center(2) - of_truth.center(2)).squaredNorm();
+        };
+        const double least = known(moved);
+        std::fill_n(centers.begin() + 6, 3, 1e3);  // would draw all away
+        ASSERT_OK(clba_problem_fix_gauge(problem.get(), &target));
+        EXPECT_GT(known(Dense(problem, context)), 10 * least);
+        std::fill_n(centers.begin() + 6, 3, nan);
+        ASSERT_OK(clba_problem_fix_gauge(problem.get(), &target));
+        EXPECT_NEAR(known(Dense(problem, context)), least, 1e-6 * least);
+    }
 
     const Data kept = data_of(problem);
     const auto refuses = [&](const std::function<void(clba_gauge_target&)>& change,
@@ -623,6 +640,11 @@ TEST_F(Covariances, FixGaugeMovesTheStateAndNoResidual) {
         EXPECT_TRUE(refused(clba_problem_fix_gauge(problem.get(), &bad), parts));
     };
     refuses([](clba_gauge_target& t) { t.centers = nullptr; }, {"centers"});
+    std::vector<double> half_known = centers;
+    half_known[3] = nan;
+    refuses([&](clba_gauge_target& t) { t.centers = half_known.data(); }, {"centers[1]", "NaN"});
+    const std::vector<double> unknown(centers.size(), nan);
+    refuses([&](clba_gauge_target& t) { t.centers = unknown.data(); }, {"three images", "0"});
     refuses([](clba_gauge_target& t) { t.gauge = CLBA_GAUGE_PROBLEM; }, {"gauge = problem"});
     refuses([](clba_gauge_target& t) { t.gauge = 9; }, {"gauge = 9"});
     refuses(

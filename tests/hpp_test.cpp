@@ -222,6 +222,16 @@ TEST(Arrays, EveryLayoutArrives) {
     to.get_centers(3, centers);
     EXPECT_EQ(centers[0], to.centers()[3]);
     for (size_t k = 0; k < 3; ++k) EXPECT_NEAR(centers[1][k], from.centers()[4][k], 1e-9);
+    std::vector<int32_t> held(to.points().size());
+    held[2] = 1;
+    to.set_constant_points(held);
+    EXPECT_EQ(to.constant_points(), held);
+    held.assign(to.cameras().models.size(), 5);
+    to.set_constant_cameras(held);
+    EXPECT_EQ(to.constant_cameras(), held);
+    held.assign(to.centers().size(), CLBA_CONSTANT_POSITION);
+    to.set_constant_images(held);
+    EXPECT_EQ(to.constant_images(), held);
 }
 
 TEST(Arrays, WrongSizesAreRefused) {

@@ -250,7 +250,8 @@ CLBA_API clba_status clba_problem_get_observations(const clba_problem* problem, 
                                                    size_t points_stride, double* xy,
                                                    size_t xy_stride);
 
-/* Constant blocks. count must equal the number of rows, or be 0: nothing is constant. */
+/* Constant blocks. count must equal the number of rows, or be 0: nothing is constant. What was read
+ * from OpenMVG and OpenSfM may hold parameters that their cameras do not have. */
 enum {
     CLBA_CONSTANT_ROTATION = 1,
     CLBA_CONSTANT_POSITION = 2, /* the camera centre -R^T t */
@@ -264,6 +265,14 @@ CLBA_API clba_status clba_problem_set_constant_cameras(clba_problem* problem, in
 /* Non-zero: the point is constant. */
 CLBA_API clba_status clba_problem_set_constant_points(clba_problem* problem, int32_t count,
                                                       const int32_t* flags, size_t stride);
+/* Rows [first, first + count), as set. */
+CLBA_API clba_status clba_problem_get_constant_images(const clba_problem* problem, int32_t first,
+                                                      int32_t count, int32_t* flags, size_t stride);
+CLBA_API clba_status clba_problem_get_constant_cameras(const clba_problem* problem, int32_t first,
+                                                       int32_t count, int32_t* flags,
+                                                       size_t stride);
+CLBA_API clba_status clba_problem_get_constant_points(const clba_problem* problem, int32_t first,
+                                                      int32_t count, int32_t* flags, size_t stride);
 
 /* Uncertainty c_i > 0 of each parameter: the paper's weights, which multiply column i of the
  * Jacobian (Tong et al. 2013, eq. 6). They shape the damping, not the cost: see CLBA_DAMPING_*.
@@ -829,8 +838,9 @@ typedef struct clba_gauge_target {
     const double* pose;    /* qw qx qy qz tx ty tz for the first image; NULL */
     double baseline;       /* > 0: distance of its centre from the second one's; 0 */
     const double* xyz;     /* 9 numbers for the three points; NULL */
-    const double* centers; /* of INNER: 3 numbers an image, to which all centres are brought as
-                              close as a similarity brings them (Umeyama 1991); NULL */
+    const double* centers; /* of INNER: 3 numbers an image, NaN where not known, to which centres
+                              are brought as close as a similarity brings them (Umeyama 1991);
+                              NULL */
 } clba_gauge_target;
 CLBA_API clba_status clba_gauge_target_init(clba_gauge_target* target, size_t struct_size);
 /* Moves the state by the similarity that puts what the gauge holds where target says: the first

@@ -850,6 +850,25 @@ public:
         get_points(0, xyz);
         return xyz;
     }
+    // Flags as they are set.
+    std::vector<int32_t> constant_images() const {
+        std::vector<int32_t> flags(static_cast<size_t>(info().num_images));
+        check(clba_problem_get_constant_images(object_, 0, static_cast<int32_t>(flags.size()),
+                                               flags.data(), 0));
+        return flags;
+    }
+    std::vector<int32_t> constant_cameras() const {
+        std::vector<int32_t> flags(static_cast<size_t>(info().num_cameras));
+        check(clba_problem_get_constant_cameras(object_, 0, static_cast<int32_t>(flags.size()),
+                                                flags.data(), 0));
+        return flags;
+    }
+    std::vector<int32_t> constant_points() const {
+        std::vector<int32_t> flags(static_cast<size_t>(info().num_points));
+        check(clba_problem_get_constant_points(object_, 0, static_cast<int32_t>(flags.size()),
+                                               flags.data(), 0));
+        return flags;
+    }
     Observations observations() const {
         const auto count = static_cast<size_t>(info().num_observations);
         Observations observations{std::vector<int32_t>(count), std::vector<int32_t>(count),

@@ -317,10 +317,19 @@ clba_status clba_problem_fix_gauge(clba_problem* problem, const clba_gauge_targe
                 std::copy_n(given.xyz + 3 * k, 3, internal.points[k].begin());
         } else if (choice.gauge == Gauge::inner) {
             const int64_t count = problem->problem.num_images();
-            finite(given.centers, 3 * count, "centers");
+            require_pointer(given.centers, "centers");
             centers.resize(static_cast<size_t>(count));
-            for (int64_t i = 0; i < count; ++i)
+            for (int64_t i = 0; i < count; ++i) {
                 std::copy_n(given.centers + 3 * i, 3, centers[i].begin());
+                int num_finite = 0, num_nan = 0;
+                for (const double value : centers[i]) {
+                    num_finite += std::isfinite(value);
+                    num_nan += std::isnan(value);
+                }
+                require(num_finite == 3 || num_nan == 3, "centers[", i, "] = (", centers[i][0],
+                        ", ", centers[i][1], ", ", centers[i][2],
+                        "), but it must be finite, or NaN in all three: not known");
+            }
             internal.centers = &centers;
         }
         fix_gauge(choice, internal, problem->problem);

@@ -566,6 +566,44 @@ clba_status clba_problem_set_constant_points(clba_problem* problem, int32_t coun
 
 namespace {
 
+// constants: of a Problem, which has so many rows; empty: none.
+template <class Constants>
+clba_status get_constants(const clba_problem* problem, int32_t first, int32_t count, int32_t* flags,
+                          size_t stride, int32_t (Problem::*num_rows)() const,
+                          Constants Problem::*constants, const char* name) {
+    return guarded([&] {
+        require_pointer(problem, "problem");
+        const Problem& p = problem->problem;
+        require_range(first, count, (p.*num_rows)(), name);
+        const Rows rows(flags, stride, 1, "flags", count);
+        const Constants& all = p.*constants;
+        for (int32_t i = 0; i < count; ++i)
+            rows.set(i, 0, all.empty() ? 0 : static_cast<int32_t>(all[first + i]));
+    });
+}
+
+}  // namespace
+
+clba_status clba_problem_get_constant_images(const clba_problem* problem, int32_t first,
+                                             int32_t count, int32_t* flags, size_t stride) {
+    return get_constants(problem, first, count, flags, stride, &Problem::num_images,
+                         &Problem::constant_images, "images");
+}
+
+clba_status clba_problem_get_constant_cameras(const clba_problem* problem, int32_t first,
+                                              int32_t count, int32_t* flags, size_t stride) {
+    return get_constants(problem, first, count, flags, stride, &Problem::num_cameras,
+                         &Problem::constant_cameras, "cameras");
+}
+
+clba_status clba_problem_get_constant_points(const clba_problem* problem, int32_t first,
+                                             int32_t count, int32_t* flags, size_t stride) {
+    return get_constants(problem, first, count, flags, stride, &Problem::num_points,
+                         &Problem::constant_points, "points");
+}
+
+namespace {
+
 // Row `row` of rows, which is the caller's row i.
 template <class Values>
 void read_uncertainty(const Rows<const double>& rows, int64_t row, int64_t i, size_t width,

@@ -15,7 +15,7 @@ struct ConvertArguments {
 };
 
 void convert(const ConvertArguments& arguments) {
-    check_outputs({}, arguments.output.path);
+    check_outputs({arguments.output.path, {}});
     write_problem(read_problem(arguments.input, false).get(), arguments.output);
 }
 
@@ -27,8 +27,10 @@ void add_convert(CLI::App& program) {
     const auto arguments = std::make_shared<ConvertArguments>();
     command->add_option("IN", arguments->input, problem_help)->required();
     command
-        ->add_option("OUT", arguments->output.path,
-                     "file or folder; its format is that of the ending, COLMAP's for a folder")
+        ->add_option(
+            "OUT", arguments->output.path,
+            "file or folder; its format is that of the ending, COLMAP's for a folder or a name "
+            "that ends in /, else that of IN")
         ->check(not_empty)
         ->required();
     add_output_format(*command, "--format", arguments->output);

@@ -134,23 +134,32 @@ CovarianceArguments::CovarianceArguments() {
 }
 
 void add_covariance_options(CLI::App& command, CovarianceArguments& arguments) {
-    command
-        .add_option("--covariance", arguments.file,
-                    "file of the covariances of poses and intrinsics: JSON if it ends in .json, "
-                    "else CSV")
-        ->check(not_empty);
-    command.add_flag("--covariance-points", arguments.all_points, "points' covariances too");
+    CLI::Option* file =
+        command
+            .add_option("--covariance", arguments.file,
+                        "file of the covariances of poses and intrinsics: JSON if it ends in "
+                        ".json, else CSV")
+            ->check(not_empty);
+    command.add_flag("--covariance-points", arguments.all_points, "points' covariances too")
+        ->needs(file);
     add_choice(command, "--covariance-gauge", arguments.options.gauge, clba_covariance_gauge_name,
-               "what takes the freedoms of a similarity away");
+               "what takes the freedoms of a similarity away")
+        ->needs(file);
     command
         .add_option("--gauge-images", arguments.images,
                     "the image whose pose the gauge holds, and the one whose distance from it")
+        ->needs(file)
         ->expected(2);
-    command.add_option("--gauge-points", arguments.points, "that three_points holds")->expected(3);
+    command.add_option("--gauge-points", arguments.points, "that three_points holds")
+        ->needs(file)
+        ->expected(3);
     add_choice(command, "--covariance-method", arguments.options.method,
-               clba_covariance_method_name, "exact, or estimated from random samples");
-    command.add_flag("--variance-factor", arguments.apply_variance_factor,
-                     "multiply covariances by the a posteriori variance factor");
+               clba_covariance_method_name, "exact, or estimated from random samples")
+        ->needs(file);
+    command
+        .add_flag("--variance-factor", arguments.apply_variance_factor,
+                  "multiply covariances by the a posteriori variance factor")
+        ->needs(file);
 }
 
 void write_covariances(clba_problem* problem, clba_context* context,

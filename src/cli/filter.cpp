@@ -22,7 +22,7 @@ struct FilterArguments {
 };
 
 void filter_file(FilterArguments& arguments) {
-    check_outputs({arguments.json}, arguments.output.path);
+    check_outputs({arguments.output.path, {arguments.json}}, arguments.input);
     const Problem problem = read_problem(arguments.input, arguments.quiet);
     check_write(problem.get(), arguments.output);
     arguments.options.remove_points = !arguments.keep_points;

@@ -25,7 +25,7 @@ void write_scene(const clba_problem* problem, const std::string& path) {
 }
 
 void generate(const GenerateArguments& arguments) {
-    check_outputs({arguments.output, arguments.truth});
+    check_outputs({"", {arguments.output, arguments.truth}});
     clba_problem* start = nullptr;
     clba_problem* truth = nullptr;
     check(clba_problem_generate(&arguments.scene, &start,

@@ -57,18 +57,31 @@ void check_file_or_folder(const std::string& path) {
 
 }  // namespace
 
-void check_outputs(const std::vector<std::string>& paths, const std::string& problem_path) {
-    std::set<fs::path> seen;
-    if (!problem_path.empty()) {
-        check_file_or_folder(problem_path);
-        seen.insert(fs::weakly_canonical(fs::absolute(problem_path)));
-    }
-    for (const std::string& path : paths) {
-        if (path.empty()) continue;
-        check_output(path);
-        if (!seen.insert(fs::weakly_canonical(fs::absolute(path))).second)
+void check_outputs(const Outputs& outputs, const std::string& problem_input,
+                   const std::vector<std::string>& other_inputs) {
+    const auto whole = [](const std::string& path) {
+        return fs::weakly_canonical(fs::absolute(path));
+    };
+    std::set<fs::path> inputs, seen;
+    for (const std::string& path : other_inputs)
+        if (!path.empty()) inputs.insert(whole(path));
+    const auto add = [&](const std::string& path) {
+        if (inputs.count(whole(path)) > 0)
+            throw Failure(ExitCode::usage,
+                          path + ": an input has this name and would be lost; name another output");
+        if (!seen.insert(whole(path)).second)
             throw Failure(ExitCode::usage,
                           path + ": two outputs have this name; name one of them otherwise");
+    };
+    if (!outputs.problem.empty()) {
+        check_file_or_folder(outputs.problem);
+        add(outputs.problem);
+    }
+    if (!problem_input.empty()) inputs.insert(whole(problem_input));
+    for (const std::string& path : outputs.files) {
+        if (path.empty()) continue;
+        check_output(path);
+        add(path);
     }
 }
 

@@ -4,6 +4,8 @@
 #include <cstdio>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <sstream>
+#include <string>
 #include <vector>
 
 #include "cli/commands.hpp"
@@ -32,6 +34,8 @@ struct SolveArguments {
     std::string json;
     std::string position_priors;
     std::string point_priors;
+    double pixel_sigma = 0;  // 0: those of the file
+    bool align_to_priors = false;
     std::string device;
     CovarianceArguments covariance;
     std::string checkpoint;
@@ -40,6 +44,7 @@ struct SolveArguments {
     double loss_scale = 1;
     clba_filter_options filter = filter_defaults();
     int32_t filter_rounds = 0;
+    std::vector<std::string> constant_intrinsics;  // names, or "all"
     bool constant_sensors = false;
     bool verify = false;
     bool quiet = false;
@@ -80,14 +85,49 @@ void hold_sensors(clba_problem* problem) {
     check(clba_problem_set_rigs(problem, &rigs));
 }
 
-Problem read_start(const SolveArguments& arguments) {
-    Problem problem = read_problem(arguments.file, arguments.quiet);
+// Beside the parameters that the file's cameras do not have.
+void hold_intrinsics(clba_problem* problem, const std::vector<std::string>& names) {
+    const auto num_cameras = static_cast<size_t>(info_of(problem).num_cameras);
+    const auto count = static_cast<int32_t>(num_cameras);
+    std::vector<int32_t> models(num_cameras), flags(num_cameras);
+    check(clba_problem_get_cameras(problem, 0, count, models.data(), 0, nullptr, 0));
+    check(clba_problem_get_constant_cameras(problem, 0, count, flags.data(), 0));
+    for (const std::string& name : names) {
+        bool is_known = false;
+        for (size_t i = 0; i < num_cameras; ++i) {
+            std::istringstream params(clba_camera_model_param_names(models[i]));
+            std::string param;
+            for (int k = 0; std::getline(params, param, ','); ++k) {
+                if (name != "all" && name != param) continue;
+                flags[i] |= 1 << k;
+                is_known = true;
+            }
+        }
+        if (!is_known && num_cameras > 0)
+            throw Failure(ExitCode::usage,
+                          "--constant-intrinsics: no camera has a parameter " + name +
+                              "; name those of a model, as f,cx,cy of simple_pinhole, or all");
+    }
+    check(clba_problem_set_constant_cameras(problem, count, flags.data(), 0));
+}
+
+Problem read_start(const SolveArguments& arguments, bool quiet) {
+    Problem problem = read_problem(arguments.file, quiet);
     if (info_of(problem.get()).num_observations == 0)
         throw Failure(ExitCode::file, arguments.file + ": has no observations; nothing to solve");
     check(clba_problem_set_loss(problem.get(), arguments.loss, arguments.loss_scale));
+    if (!arguments.constant_intrinsics.empty())
+        hold_intrinsics(problem.get(), arguments.constant_intrinsics);
     if (arguments.constant_sensors) hold_sensors(problem.get());
+    if (arguments.pixel_sigma > 0) {
+        const std::vector<double> sigmas(
+            static_cast<size_t>(info_of(problem.get()).num_observations), arguments.pixel_sigma);
+        check(clba_problem_set_sigmas(problem.get(), info_of(problem.get()).num_observations,
+                                      sigmas.data(), 0));
+    }
     if (!arguments.position_priors.empty())
-        read_position_priors(arguments.position_priors, problem.get());
+        read_position_priors(arguments.position_priors, problem.get(), arguments.align_to_priors,
+                             quiet);
     if (!arguments.point_priors.empty()) read_point_priors(arguments.point_priors, problem.get());
     return problem;
 }
@@ -164,16 +204,20 @@ ExitCode exit_code_of(const clba_summary& summary) {
 }
 
 ExitCode solve(SolveArguments& arguments) {
-    check_outputs({arguments.ply, arguments.json, arguments.covariance.file, arguments.checkpoint},
-                  arguments.output.path);
+    const bool goes_on = arguments.checkpoint == arguments.resume;  // in the same file
+    check_outputs(
+        {arguments.output.path,
+         {arguments.ply, arguments.json, arguments.covariance.file, arguments.checkpoint}},
+        arguments.file,
+        {arguments.position_priors, arguments.point_priors, goes_on ? "" : arguments.resume});
     if (!arguments.checkpoint.empty())
         arguments.options.checkpoint_path = arguments.checkpoint.c_str();
     if (!arguments.resume.empty()) arguments.options.resume_path = arguments.resume.c_str();
     const Context context = make_context(arguments.device);
-    const Problem problem = read_start(arguments);
+    const Problem problem = read_start(arguments, arguments.quiet);
     if (!arguments.output.path.empty()) check_write(problem.get(), arguments.output);
     // Read now, because the output may replace the file.
-    const Problem start = arguments.verify ? read_start(arguments) : nullptr;
+    const Problem start = arguments.verify ? read_start(arguments, true) : nullptr;
 
     Json filtered = Json::array();
     const Result result = solve_in_rounds(problem.get(), context.get(), arguments, filtered);
@@ -226,15 +270,26 @@ void add_output_options(CLI::App& command, SolveArguments& arguments) {
 }
 
 void add_priors(CLI::App& command, SolveArguments& arguments) {
+    CLI::Option* positions =
+        command
+            .add_option("--position-priors", arguments.position_priors,
+                        "CSV file of camera centres, as by GPS: image, x, y, z, sx, sy, sz with "
+                        "the image's name or index and standard deviations, in the world's units")
+            ->check(not_empty);
     command
-        .add_option("--position-priors", arguments.position_priors,
-                    "CSV file of camera centres, as by GPS: image, x, y, z, sx, sy, sz with the "
-                    "image's index and standard deviations, in the world's units")
-        ->check(not_empty);
+        .add_flag("--align-to-priors", arguments.align_to_priors,
+                  "first move the problem, as a similarity, to where its centres fit "
+                  "--position-priors best")
+        ->needs(positions);
     command
         .add_option("--point-priors", arguments.point_priors,
                     "CSV file of points, as of ground control: point, x, y, z, sx, sy, sz")
         ->check(not_empty);
+    command
+        .add_option("--pixel-sigma", arguments.pixel_sigma,
+                    "standard deviation of all observations, pixels: their weight against "
+                    "priors'; 1")
+        ->check(positive_number);
 }
 
 void add_solver_options(CLI::App& command, SolveArguments& arguments) {
@@ -253,10 +308,18 @@ void add_solver_options(CLI::App& command, SolveArguments& arguments) {
                "what the device keeps of the Jacobian");
     add_choice(command, "--damping", options.damping, clba_damping_name,
                "diagonal that the damping multiplies");
-    add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");
+    CLI::Option* loss =
+        add_choice(command, "--loss", arguments.loss, clba_loss_name, "robust loss");
     command.add_option("--loss-scale", arguments.loss_scale, "where the loss sets in, pixels")
+        ->needs(loss)
         ->check(positive_number)
         ->capture_default_str();
+    command
+        .add_option("--constant-intrinsics", arguments.constant_intrinsics,
+                    "names of camera parameters to hold, as cx,cy for the principal points that "
+                    "COLMAP's bundle adjustment holds; or all")
+        ->delimiter(',')
+        ->check(not_empty);
     command.add_flag("--constant-sensors", arguments.constant_sensors,
                      "hold the cameras of rigs in their places on them");
 }

@@ -323,13 +323,18 @@ void fix_gauge(const GaugeChoice& given, const GaugeTarget& target, Problem& pro
         from = x[0];
         to = y[0];
     } else {
-        const Eigen::Index n = problem.num_images();
-        Eigen::Matrix3Xd centers(3, n), targets(3, n);
+        Eigen::Index n = 0;
+        Eigen::Matrix3Xd centers(3, problem.num_images()), targets(3, problem.num_images());
         for (int32_t i = 0; i < problem.num_images(); ++i) {
-            centers.col(i) = center_of(problem, i);
-            targets.col(i) = vector_of((*target.centers)[i]);
+            const Vector3d known = vector_of((*target.centers)[i]);
+            if (known.array().isNaN().all()) continue;
+            centers.col(n) = center_of(problem, i);
+            targets.col(n++) = known;
         }
-        require(n >= 3, "gauge = inner needs three images or more, but num_images = ", n);
+        require(n >= 3, "gauge = inner needs the centres of three images or more, but there are ",
+                n);
+        centers.conservativeResize(3, n);
+        targets.conservativeResize(3, n);
         const Eigen::Matrix4d similarity = Eigen::umeyama(centers, targets, true);
         scale = similarity.block<3, 1>(0, 0).norm();
         require(std::isfinite(scale) && scale > 0,

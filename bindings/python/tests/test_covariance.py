@@ -80,6 +80,10 @@ def test_fix_gauge(solved: clba.Problem) -> None:
     centers = solved.centers * 3 + 1
     solved.fix_gauge(gauge="inner", centers=centers)
     np.testing.assert_allclose(solved.centers, centers, atol=1e-9)
+    centers = solved.centers / 3
+    centers[3] = np.nan
+    solved.fix_gauge(gauge="inner", centers=centers)
+    np.testing.assert_allclose(solved.centers[4:], centers[4:], atol=1e-9)
 
 
 def test_refuses(solved: clba.Problem) -> None:
@@ -93,6 +97,10 @@ def test_refuses(solved: clba.Problem) -> None:
         solved.covariance(gauge="problem")
     with pytest.raises(ValueError, match=r"centers has shape \(2, 3\)"):
         solved.fix_gauge(gauge="inner", centers=np.zeros((2, 3)))
+    with pytest.raises(TypeError, match="centers is None, but the gauge 'inner' needs centers"):
+        solved.fix_gauge(gauge="inner")
+    with pytest.raises(TypeError, match="pose is None, but the gauge 'default' needs pose and"):
+        solved.fix_gauge(baseline=1)
     solved.set_constant_images(rotation=[0])
     with pytest.raises(clba.InvalidArgumentError, match="constant poses"):
         solved.fix_gauge(pose=solved.poses[0], baseline=1)

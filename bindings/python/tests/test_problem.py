@@ -173,6 +173,9 @@ def test_constants(problem: clba.Problem) -> None:
     # pinhole: fx, fy, cx, cy; radial: f, cx, cy, k1, k2
     expected |= {intrinsics[1] + 1, intrinsics[1] + 2, intrinsics[3] + 1, intrinsics[3] + 3}
     assert constant_columns(problem) == expected
+    assert np.flatnonzero(problem.constant_points).tolist() == [3, 5]
+    assert np.argwhere(problem.constant_images).tolist() == [[2, 0], [4, 1]]
+    assert np.argwhere(problem.constant_cameras).tolist() == [[1, 1], [1, 2], [3, 1], [3, 3]]
     problem.set_constant_points(None)
     problem.set_constant_images()
     problem.set_constant_cameras(None)
@@ -181,6 +184,7 @@ def test_constants(problem: clba.Problem) -> None:
     mask[0, 0] = mask[4, 7] = True
     problem.set_constant_cameras(mask)
     assert constant_columns(problem) == {intrinsics[0], intrinsics[4] + 7}
+    assert (problem.constant_cameras == mask).all()
     problem.set_constant_points()
     problem.set_constant_images(rotation=True, position=True)
     problem.set_constant_cameras()

@@ -172,6 +172,18 @@ def test_three_models_end_where_colmap_ends(tmp_path: pathlib.Path) -> None:
     assert read.compute_num_observations() == problem.num_observations
 
 
+def test_a_reconstruction_is_not_lost_in_a_file(tmp_path: pathlib.Path) -> None:
+    """Its names, sizes and colours are in the reconstruction, not in the problem."""
+    problem = clba.Problem.from_pycolmap(reconstruction_of(["RADIAL"]))
+    for write in (problem.check_write, problem.write):
+        with pytest.raises(clba.InvalidArgumentError, match="update_pycolmap.*accept_loss"):
+            write(tmp_path / "model", format="colmap_binary")
+    assert list(tmp_path.iterdir()) == []
+    problem.write(tmp_path / "scene.ply")
+    problem.write(tmp_path / "model", format="colmap_binary", accept_loss=True)
+    assert (tmp_path / "model" / "images.bin").is_file()
+
+
 def test_what_is_refined_is_as_in_colmap() -> None:
     reconstruction = reconstruction_of(["OPENCV"], noise=0.5)
     for refined, changed in (

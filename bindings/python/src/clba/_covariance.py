@@ -185,12 +185,17 @@ def set_gauge(
     _set_indices(target.images, images, "images")
     _set_indices(target.points, points, "points")
     _ffi.set_number(target, "baseline", baseline)
+    needed = {"three_points": ("xyz",), "inner": ("centers",), "problem": ()}.get(
+        gauge, ("pose", "baseline")
+    )
     arrays = []
     for name, values, shape in (
         ("pose", pose, (7,)),
         ("xyz", xyz, (3, 3)),
         ("centers", centers, (num_images, 3)),
     ):
+        if values is None and name in needed:
+            raise TypeError(f"{name} is None, but the gauge {gauge!r} needs {' and '.join(needed)}")
         if values is None:
             continue
         arrays.append(np.array(values, dtype=np.float64, order="C"))

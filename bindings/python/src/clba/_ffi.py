@@ -542,6 +542,9 @@ PROTOTYPES: dict[str, tuple[Any, list[Any]]] = {
     ),
     "clba_problem_get_centers": (_status, [_problem, c_int32, c_int32, _doubles, c_size_t]),
     "clba_problem_get_points": (_status, [_problem, c_int32, c_int32, _doubles, c_size_t]),
+    "clba_problem_get_constant_images": (_status, [_problem, c_int32, c_int32, _int32s, c_size_t]),
+    "clba_problem_get_constant_cameras": (_status, [_problem, c_int32, c_int32, _int32s, c_size_t]),
+    "clba_problem_get_constant_points": (_status, [_problem, c_int32, c_int32, _int32s, c_size_t]),
     "clba_problem_get_observations": (
         _status,
         [_problem, c_int64, c_int64, _int32s, c_size_t, _int32s, c_size_t, _doubles, c_size_t],

@@ -33,6 +33,7 @@ from clba import (
 from clba._arrays import Doubles, Int32s, UInt64s, pointer, stride
 from clba._covariance import Covariance
 from clba._devices import Context, context_of
+from clba._errors import InvalidArgumentError
 from clba._evaluation import Evaluation
 from clba._ffi import check, lib
 from clba._filter import FilterReport
@@ -445,6 +446,7 @@ class Problem:
                 accept_loss, what was read with it; the message lists that.
             FileError (an OSError): the file cannot be written.
         """
+        self._check_no_reconstruction_is_lost(path, format, accept_loss)
         with self._use() as handle:
             _problem_files.write(handle, path, format, accept_loss)
 
@@ -456,8 +458,21 @@ class Problem:
         accept_loss: bool = False,
     ) -> None:
         """Raises what ``write`` would say against the format and a loss: before a long solve."""
+        self._check_no_reconstruction_is_lost(path, format, accept_loss)
         with self._use() as handle:
             _problem_files.check_write(handle, path, format, accept_loss)
+
+    def _check_no_reconstruction_is_lost(
+        self, path: str | os.PathLike[str], format: str, accept_loss: bool
+    ) -> None:
+        is_ply = format == "ply" or (format == "auto" and os.fspath(path).endswith(".ply"))
+        if self._colmap_ids is not None and not accept_loss and not is_ply:
+            raise InvalidArgumentError(
+                f"{os.fspath(path)}: the problem was made from a pycolmap.Reconstruction and does "
+                "not hold its names, sizes, colours and features without a point. Write the result "
+                "to the reconstruction (update_pycolmap) and that to a file, or accept the loss "
+                "(accept_loss)"
+            )
 
     @property
     def format(self) -> str | None:
@@ -714,6 +729,14 @@ class Problem:
             flags += 2 * _arrays.mask(position, count, "position").astype(np.int32)
             check(lib.clba_problem_set_constant_images(handle, count, pointer(flags, c_int32), 0))
 
+    @property
+    def constant_images(self) -> npt.NDArray[np.bool_]:
+        """(num_images, 2): whether rotation and position of each are constant."""
+        with self._use() as handle:
+            count = problem_info(handle).num_images
+            flags = _rows.constants_of(handle, lib.clba_problem_get_constant_images, count)
+            return _rows.bits_of(flags, 2)
+
     def set_constant_cameras(
         self, cameras: npt.ArrayLike | None = True, params: Sequence[str] | None = None
     ) -> None:
@@ -757,6 +780,25 @@ class Problem:
                     handle, len(flags), pointer(flags, c_int32), 0
                 )
             )
+
+    @property
+    def constant_cameras(self) -> npt.NDArray[np.bool_]:
+        """(num_cameras, k): which parameters are constant, as ``set_constant_cameras`` takes them.
+
+        Of a problem that was read from OpenMVG or OpenSfM also those that its cameras do not have.
+        """
+        with self._use() as handle:
+            count, most = _rows.params_of(handle).shape
+            flags = _rows.constants_of(handle, lib.clba_problem_get_constant_cameras, count)
+            return _rows.bits_of(flags, most)
+
+    @property
+    def constant_points(self) -> npt.NDArray[np.bool_]:
+        """(num_points,)"""
+        with self._use() as handle:
+            count = problem_info(handle).num_points
+            flags = _rows.constants_of(handle, lib.clba_problem_get_constant_points, count)
+            return flags.astype(np.bool_)
 
     def set_constant_points(self, points: npt.ArrayLike | None = True) -> None:
         """Holds points constant; what is not named is free.
@@ -1224,8 +1266,8 @@ class Problem:
             baseline: distance of the two images' centres.
             points, xyz: indices of three points, and (3, 3) where they go: the first one, the line
                 to the second with its length, and the plane to the third.
-            centers: (num_images, 3) of "inner", to which the camera centres are brought as close
-                as a similarity brings them.
+            centers: (num_images, 3) of "inner", NaN where not known, to which the camera centres
+                are brought as close as a similarity brings them.
 
         Raises:
             InvalidArgumentError: among others, if poses or points are constant.

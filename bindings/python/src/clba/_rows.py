@@ -148,6 +148,19 @@ def images_of(handle: Any) -> tuple[Int32s, Doubles]:
     return cameras, poses
 
 
+def constants_of(handle: Any, function: Any, count: int) -> Int32s:
+    """(count,) flags."""
+    flags = np.empty(count, np.int32)
+    check(function(handle, 0, count, pointer(flags, c_int32), 0))
+    return flags
+
+
+def bits_of(flags: Int32s, count: int) -> npt.NDArray[np.bool_]:
+    """(len(flags), count), the lowest bit first."""
+    bits: npt.NDArray[np.int32] = np.right_shift(flags[:, None], np.arange(count)) & 1
+    return bits.astype(np.bool_)
+
+
 def get_observations(
     handle: Any,
     count: int,
