@@ -323,7 +323,9 @@ TEST_F(Files, OpenSfmCoordinatesAreSharesOfTheLargerSide) {
         "o/reconstruction.json",
         R"([{"cameras": {"c": {"projection_type": "perspective", "width": 200, "height": 100,
                 "focal": 0.5, "k1": 0.1, "k2": 0.01}}, "shots": {"s": {"rotation": [0, 0, 0],
-                "translation": [0, 0, 3], "camera": "c"}}, "points": {"7": {"coordinates": [1, 2, 1],
+                "translation": [0, 0, 3], "camera": "c", "gps_position": [1, 2, 3]},
+                "t": {"rotation": [0, 0, 0], "translation": [0, 0, 3], "camera": "c",
+                "gps_position": null}}, "points": {"7": {"coordinates": [1, 2, 1],
                 "color": [1, 2, 3]}}}])");
     folder.file("o/tracks.csv",
                 "s\t7\t5\t0.12902832031250001\t0.258056640625\t9\t8\t7\ns\t8\t5\t0\t0\t9\t8\t7\n");
@@ -336,8 +338,9 @@ TEST_F(Files, OpenSfmCoordinatesAreSharesOfTheLargerSide) {
     EXPECT_EQ(params[2], 50);
     EXPECT_EQ(read.problem.constant_cameras[0], 0b110u);
     EXPECT_EQ(read.points[0].id, 7u);
-    ASSERT_EQ(read.notices.size(), 1u);
-    EXPECT_NE(read.notices[0].find("1 of 2 features"), std::string::npos);
+    ASSERT_EQ(read.notices.size(), 2u);
+    EXPECT_NE(read.notices[0].find("GPS positions of 1 shots"), std::string::npos);
+    EXPECT_NE(read.notices[1].find("1 of 2 features"), std::string::npos);
 }
 
 TEST_F(Files, OpenSfmRigInstancesFollowTheirShots) {
@@ -350,7 +353,8 @@ TEST_F(Files, OpenSfmRigInstancesFollowTheirShots) {
                                             second - first - test::separator.size()));
     folder.file("o/ground_control_points.json", "{\"points\": []}");
     Reconstruction read = read_opensfm(folder.path("o"));
-    ASSERT_EQ(read.notices.size(), 2u);
+    ASSERT_EQ(read.notices.size(), 3u);
+    EXPECT_NE(read.notices[0].find("ground_control_points.json"), std::string::npos);
     read.problem.images[0].pose.translation = {7.125, 8.25, 9.5};
     write_opensfm(read, folder.path("p"));
     const std::string content = content_of(folder.path("p/reconstruction.json"));

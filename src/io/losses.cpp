@@ -104,7 +104,7 @@ std::vector<std::string> losses_of_nvm(const Reconstruction& reconstruction) {
     add_camera_losses(problem, losses);
     add_rig_losses(reconstruction, losses);
     if (is_from(reconstruction, "nvm")) return losses;
-    losses.push_back("principal points");
+    if (!has_snavely_cameras_only(problem)) losses.push_back("principal points");
     if (!reconstruction.cameras.empty()) losses.push_back("ids of cameras and sizes of images");
     if (!reconstruction.images.empty()) losses.push_back("ids of images");
     if (!reconstruction.points.empty()) losses.push_back("ids of points");

@@ -110,6 +110,15 @@ IndexByName read_shots(const JsonPlace& shots, const IndexByName& cameras, Recon
     return names;
 }
 
+int64_t count_gps_positions(const JsonPlace& shots) {
+    int64_t count = 0;
+    for (size_t i = 0; i < shots.members().size(); ++i) {
+        const Json* position = shots.member(i).find("gps_position");
+        count += position && position->is_array();
+    }
+    return count;
+}
+
 // Each shot must stand where its rig does.
 void check_rigs(const JsonPlace& reconstruction) {
     if (!reconstruction.find("rig_instances")) return;
@@ -437,6 +446,15 @@ Reconstruction read_opensfm(const std::string& path) {
         if (std::filesystem::is_regular_file(file, error))
             details->ground_control.emplace_back(name, read_text(file.string()));
     }
+    const int64_t num_gps = count_gps_positions(first["shots"]);
+    if (num_gps > 0)
+        result.notices.push_back(text("the GPS positions of ", num_gps,
+                                      " shots are kept as they are; to solve with them, give them "
+                                      "as priors of positions"));
+    if (!details->ground_control.empty())
+        result.notices.push_back(
+            text(details->ground_control[0].first,
+                 " is kept as it is; to solve with ground control, give it as priors of points"));
     if (root.size() > 1)
         result.notices.push_back(
             text("the first of ", root.size(),
