@@ -130,8 +130,8 @@ converged. All is at its defaults, of which 50 iterations are one. Seconds are o
 read them as orders of size.
 
 The default is auto in mixed. Solvers that are not within met a limit on iterations on an ill-conditioned
-path of a vehicle: exact steps (direct_schur) converge more slowly there than inexact ones, and
-block_jacobi meets the limit of 500 iterations of conjugate gradients in nearly every step.
+path of a vehicle: exact steps (explicit_schur, direct_schur) converge more slowly there than inexact
+ones, and block_jacobi meets the limit of 500 iterations of conjugate gradients in nearly every step.
 
 | problem | images / points / observations | start | Ceres |
 |---|---|---|---|
