@@ -178,6 +178,9 @@ def test_a_reconstruction_is_not_lost_in_a_file(tmp_path: pathlib.Path) -> None:
     for write in (problem.check_write, problem.write):
         with pytest.raises(clba.InvalidArgumentError, match="update_pycolmap.*accept_loss"):
             write(tmp_path / "model", format="colmap_binary")
+    problem.add_points([[0, 0, 1]])
+    with pytest.raises(clba.InvalidArgumentError, match="names, sizes, colours"):
+        problem.write(tmp_path / "model", format="colmap_binary")
     assert list(tmp_path.iterdir()) == []
     problem.write(tmp_path / "scene.ply")
     problem.write(tmp_path / "model", format="colmap_binary", accept_loss=True)

@@ -84,7 +84,8 @@ class Problem:
         self._lock = threading.RLock()
         self._is_being_solved = False
         self._summary: Summary | None = None
-        # Of the reconstruction that the problem was made from: which rows are which of its parts.
+        self._is_of_reconstruction = False  # of pycolmap, which has what a file of it would lose
+        # Which rows are which of its parts; None once rows were added.
         self._colmap_ids: tuple[list[int], list[int], list[int]] | None = None
         # Of each frame its id, of each sensor the ids of its rig and its camera.
         self._colmap_rigs: tuple[list[int], list[tuple[int, int]]] | None = None
@@ -327,18 +328,7 @@ class Problem:
         models, params = _rows.camera_rows(camera_models, camera_params)
         with self._use() as handle:
             first = problem_info(handle).num_cameras
-            check(
-                lib.clba_problem_add_cameras(
-                    handle,
-                    len(models),
-                    pointer(models, c_int32),
-                    stride(models),
-                    pointer(params, c_double),
-                    stride(params),
-                ),
-                params="camera_params",
-                models="camera_models",
-            )
+            _rows.set_cameras(handle, models, params, lib.clba_problem_add_cameras)
             self._colmap_ids = None
             return range(first, first + len(models))
 
@@ -355,16 +345,7 @@ class Problem:
             cameras = _arrays.indices(
                 camera_indices, len(rows), info.num_cameras, "camera_indices", "cameras"
             )
-            check(
-                lib.clba_problem_add_images(
-                    handle,
-                    len(rows),
-                    pointer(cameras, c_int32),
-                    stride(cameras),
-                    pointer(rows, c_double),
-                    stride(rows),
-                )
-            )
+            _rows.set_images(handle, cameras, rows, lib.clba_problem_add_images)
             self._colmap_ids = None
             return range(info.num_images, info.num_images + len(rows))
 
@@ -373,12 +354,7 @@ class Problem:
         rows = _arrays.doubles(points, (None, 3), "points")
         with self._use() as handle:
             first = problem_info(handle).num_points
-            check(
-                lib.clba_problem_add_points(
-                    handle, len(rows), pointer(rows, c_double), stride(rows)
-                ),
-                xyz="points",
-            )
+            _rows.set_points(handle, rows, lib.clba_problem_add_points)
             self._colmap_ids = None
             return range(first, first + len(rows))
 
@@ -466,7 +442,7 @@ class Problem:
         self, path: str | os.PathLike[str], format: str, accept_loss: bool
     ) -> None:
         is_ply = format == "ply" or (format == "auto" and os.fspath(path).endswith(".ply"))
-        if self._colmap_ids is not None and not accept_loss and not is_ply:
+        if self._is_of_reconstruction and not accept_loss and not is_ply:
             raise InvalidArgumentError(
                 f"{os.fspath(path)}: the problem was made from a pycolmap.Reconstruction and does "
                 "not hold its names, sizes, colours and features without a point. Write the result "

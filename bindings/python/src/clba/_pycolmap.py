@@ -66,6 +66,7 @@ def problem(
         point_indices=np.array(point_indices, np.int32),
         pixels=np.array(pixels).reshape(-1, 2),
     )
+    made._is_of_reconstruction = True
     made._colmap_ids = (camera_ids, image_ids, point_ids)
 
     most_params = max((len(camera.params) for camera in cameras), default=0)

@@ -80,9 +80,14 @@ def default_camera_indices(num_cameras: int, num_images: int) -> Int32s:
     )
 
 
-def set_cameras(handle: Any, models: Int32s, params: Doubles) -> None:
+def set_cameras(
+    handle: Any,
+    models: Int32s,
+    params: Doubles,
+    function: Any = lib.clba_problem_set_cameras,  # or add
+) -> None:
     check(
-        lib.clba_problem_set_cameras(
+        function(
             handle,
             len(models),
             pointer(models, c_int32),
@@ -95,9 +100,14 @@ def set_cameras(handle: Any, models: Int32s, params: Doubles) -> None:
     )
 
 
-def set_images(handle: Any, cameras: Int32s, poses: Doubles) -> None:
+def set_images(
+    handle: Any,
+    cameras: Int32s,
+    poses: Doubles,
+    function: Any = lib.clba_problem_set_images,  # or add
+) -> None:
     check(
-        lib.clba_problem_set_images(
+        function(
             handle,
             len(poses),
             pointer(cameras, c_int32),
@@ -108,11 +118,12 @@ def set_images(handle: Any, cameras: Int32s, poses: Doubles) -> None:
     )
 
 
-def set_points(handle: Any, points: Doubles) -> None:
-    check(
-        lib.clba_problem_set_points(handle, len(points), pointer(points, c_double), stride(points)),
-        xyz="points",
-    )
+def set_points(
+    handle: Any,
+    points: Doubles,
+    function: Any = lib.clba_problem_set_points,  # or add
+) -> None:
+    check(function(handle, len(points), pointer(points, c_double), stride(points)), xyz="points")
 
 
 def models_of(handle: Any) -> Int32s:
