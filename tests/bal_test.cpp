@@ -174,6 +174,8 @@ TEST_F(BalTest, FilesThatAreWrittenBackAreEqual) {
     const FileFormat& bal = *find_format(Format::bal);
     bal.write(read.reconstruction, folder.path("again.txt"));
     EXPECT_EQ(content_of(folder.path("again.txt")), content_of(folder.path("first.txt")));
+    for (const Format other : {Format::bundler, Format::openmvg, Format::opensfm})
+        EXPECT_TRUE(losses(read.reconstruction, *find_format(other)).empty());
     auto& rotation = read.reconstruction.problem.images[1].pose.rotation;
     rotation = {1, 0, 0, 0};
     bal.write(read.reconstruction, folder.path("moved.txt"));

@@ -39,7 +39,7 @@ bool begins_with(const Candidate& candidate, std::string_view words) {
 }
 
 struct BalDetails final : SourceDetails {
-    BalDetails() : SourceDetails("bal") {}
+    BalDetails() : SourceDetails("bal", false) {}
     RotationVectors rotations;
 };
 

@@ -46,7 +46,8 @@ void add_rig_losses(const Reconstruction& reconstruction, std::vector<std::strin
 void add_file_losses(const Reconstruction& reconstruction, std::vector<std::string>& losses) {
     if (!reconstruction.unmatched.empty())
         losses.push_back(text(reconstruction.unmatched.size(), " features without a point"));
-    if (const auto* details = reconstruction.details.get())
+    const auto* details = reconstruction.details.get();
+    if (details && details->has_content)
         losses.push_back(text("what only files of the format ", details->format, " hold"));
 }
 

@@ -69,9 +69,11 @@ struct Frame {
 // converted. The writer of the same format uses it where it still fits the problem; others do not
 // know it.
 struct SourceDetails {
-    explicit SourceDetails(const char* its_format) : format(its_format) {}
+    explicit SourceDetails(const char* its_format, bool is_content = true)
+        : format(its_format), has_content(is_content) {}
     virtual ~SourceDetails() = default;
     const char* format;  // its name
+    bool has_content;    // that other formats lose; false: the last bits of numbers only
 };
 
 // What reconstruction files hold: a problem, and what a solver has no use for but a file written
